@@ -7,7 +7,7 @@ Velocities of the counter-bodies at the contacts: V_A = w + alpha_A', V_B = w - 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,13 +52,6 @@ class Balance:
         return np.asarray(energy - energy[0] - self.passed[0] + self.passed[1])
 
 
-def rates_at(motion: Motion, times: Array) -> Array:
-    """Rates of the approaches at A, B [m/s] at `times` [s], (m, 2)."""
-    powers = np.arange(1, motion.states.shape[2])
-    slopes = motion.states[:, :, 1:] * powers / motion.length[:, None, None]
-    return replace(motion, states=slopes).states_at(times)[:, :2] / motion.unit
-
-
 def balance_of(motion: Motion, times: Array) -> Balance:
     """The balance of a motion at ascending instants (m,) [s]; work by the trapezoidal rule.
 
@@ -67,7 +60,7 @@ def balance_of(motion: Motion, times: Array) -> Balance:
     if motion.fidelity == "massless":
         raise ValueError("a massless sphere has no velocity of its own; use the full model")
     scene = motion.scene
-    states, rates = motion.states_at(times), rates_at(motion, times)
+    states, rates = motion.states_at(times), motion.rates_at(times)
     forces, sphere = motion.forces_at(times).T, states[:, 2]
     approach, radius, dent, stored, plastic = (
         np.stack(column)

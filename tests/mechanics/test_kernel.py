@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -239,8 +238,9 @@ def test_steps_of_a_motion_join() -> None:
 def test_motions_of_many_rows_are_those_of_each() -> None:
     scene = random_scene(40, 16)
     rows = np.random.default_rng(2).permutation(40)[: 2 * LANES + 3]
-    many = dynamics.motions(replace(scene, whole_record=True), rows, threads=2)
-    for row, one in zip(rows.tolist(), many, strict=True):
+    for row, one in zip(
+        rows.tolist(), dynamics.motions(scene, rows, stop_at_loss=False, threads=2), strict=True
+    ):
         alone = motion(scene, row)
         assert isinstance(one, dynamics.Motion)
         assert (one.row, one.end) == (row, alone.end)

@@ -229,7 +229,7 @@ def there_and_back(lanes, given, pressed, approach):
     s = lanes[0]
     faces.new_faces(s, 0, given)
     if pressed:
-        faces.switch(s, 0, approach)
+        faces.press_on(s, 0)
     return faces.approach_at(s, 0, faces.face_force(s, 0, approach)[0])
 
 

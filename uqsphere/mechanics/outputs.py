@@ -20,7 +20,7 @@ from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, DEMANDS, Demands, demand
 from uqsphere.mechanics.inputs import declared
-from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, WISHES
+from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
 from uqsphere.mechanics.rigs import wave_loss
 from uqsphere.mechanics.scene import Partner, Scene, answered
 from uqsphere.mechanics.yielding import Press
@@ -149,8 +149,8 @@ def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyTy
     wanted = 0
     if quantities is None:
         quantities = OUTPUTS.keys()
-    for name in _roots(quantities, demands) & WISHES.keys():
-        wanted |= WISHES[name]
+    for name in _roots(quantities, demands) & SCALED.keys():
+        wanted |= SCALED[name][1]
     return wanted
 
 

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     ARMED,
@@ -34,13 +35,6 @@ from uqsphere.mechanics.integrator.tracked import (
     POINTS,
     SHARE,
     TERMS,
-    TO_THE_END,
-    WANT_CARRIED,
-    WANT_DIFFERENCE,
-    WANT_DURATION,
-    WANT_ENERGY,
-    WANT_MEAN,
-    WANT_SHARE,
     WAVE,
     End,
 )
@@ -206,7 +200,7 @@ def _deepest(s, j, m, end, deepest):
     A peak between two nodes is that of the cubic through both, mended by Newton's method on the
     series until what is left is a thousandth of the error of the step.
     """
-    width, place, allowed = end / POINTS, -1.0, 1e-3 * s.error[j] * s.scale_x[m]
+    width, place, allowed = end / POINTS, -1.0, 1e-3 * s.error[j] * s.size[2 * (m // LANES), j]
     for i in range(POINTS + 1):
         if s.at[i, m] > deepest:
             deepest, place = s.at[i, m], i * width
@@ -251,15 +245,6 @@ def _highest(s, j, kind, end, highest):
     Of the difference of the forces the size counts.
     """
     b, width, left, left_slope = LANES + j, end / POINTS, 0.0, 0.0
-    top_a, top_b = (s.top[j], 0.0), (s.top[b], 0.0)
-    if kind == DIFFERENCE:
-        most, _ = _both(s, j, kind, top_a, (s.floor[b], 0.0))
-        least, _ = _both(s, j, kind, (s.floor[j], 0.0), top_b)
-        most = max(most, -least)
-    else:
-        most, _ = _both(s, j, kind, top_a, top_b)
-    if not most > highest:
-        return highest
     for i in range(POINTS + 1):
         at_a, at_b = (s.at[i, j], s.rate[i, j]), (s.at[i, b], s.rate[i, b])
         right, right_slope = _both(s, j, kind, at_a, at_b)
@@ -284,6 +269,24 @@ def _highest(s, j, kind, end, highest):
 
 
 @compiled
+def may_end(s, j):
+    """Whether a contact or a branch may change in the step of a lane, or the record end."""
+    lane = s.lane[j]
+    for face in range(2):
+        m = face * LANES + j
+        if s.x[0, m] > 0.0:
+            if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
+                return True
+        elif s.top[m] > 0.0:
+            return True
+        if s.has_laws:
+            largest = (s.largest[m] - s.dent[m]) * (1.0 - ARMED)
+            if s.spring[m] == 0.0 or s.top[m] >= largest:
+                return True
+    return max(s.floor[j], s.floor[LANES + j]) < lane.low
+
+
+@compiled
 def _first_event(s, j):
     """theta at which the step of a lane ends, and why: its series, a contact or a branch that
     changes.
@@ -294,13 +297,8 @@ def _first_event(s, j):
         m, at = face * LANES + j, math.inf
         if s.x[0, m] > 0.0:
             if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
+                _note_graze(s, j, m, ends)
                 at = passage(s, m, 0.0, -1.0, 0.0, ends)
-                # when the approach first comes so near to zero that its error may decide on a loss
-                unknown = math.isnan(lane.lost) and math.isnan(lane.grazed)
-                if s.wanted & TO_THE_END and unknown:
-                    faint = passage(s, m, lane.faint, -1.0, 0.0, ends)
-                    if faint < math.inf:
-                        lane.grazed = lane.time + s.h[j] * faint
         elif (s.x[0, m] < 0.0 or s.x[1, m] < 0.0) and s.top[m] > 0.0:
             # a face that left at the start of this step is clear of zero a little later
             clear = 0.0
@@ -318,16 +316,7 @@ def _first_event(s, j):
                 ends, lane.why, lane.side = at, End.BRANCH, face
     if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
         lane.lost = lane.time + ends * s.h[j]
-        rate, bow = _bend_of(s, lane.side * LANES + j, ends)
-        lane.blur = lane.faint * s.h[j] / -rate
-        # how deep a gap opens before the approach turns, or the waves jump
-        depth = -rate * ((lane.stop - lane.time) / s.h[j] - ends)
-        if bow > 0.0:
-            depth = min(depth, 0.5 * rate * rate / bow)
-        if depth < lane.faint:
-            lane.grazed = 0.0
-        elif lane.lost - lane.grazed < 2.0 * lane.blur:
-            lane.grazed = lane.lost  # it went straight through
+        _note_loss(s, j, ends)
     return ends
 
 
@@ -385,6 +374,34 @@ def _virgin_end(s, m, end):
 
 
 @compiled
+def _note_loss(s, j, ends):
+    """How far the error of the approach moves a loss of contact; whether it may undo it."""
+    lane = s.lane[j]
+    rate, bow = _bend_of(s, lane.side * LANES + j, ends)
+    lane.blur = lane.faint * s.h[j] / -rate
+    # how deep a gap opens before the approach turns, or the waves jump
+    depth = -rate * ((lane.stop - lane.time) / s.h[j] - ends)
+    if bow > 0.0:
+        depth = min(depth, 0.5 * rate * rate / bow)
+    if depth < lane.faint:
+        lane.grazed = 0.0
+    elif lane.lost - lane.grazed < 2.0 * lane.blur:
+        lane.grazed = lane.lost  # it went straight through
+
+
+@compiled
+def _note_graze(s, j, m, ends):
+    """When the approach of a face first comes so near to zero, before any loss, that its error may
+    decide on one.
+    """
+    lane = s.lane[j]
+    if s.wanted & tracked.TO_THE_END and math.isnan(lane.lost) and math.isnan(lane.grazed):
+        at = passage(s, m, lane.faint, -1.0, 0.0, ends)
+        if at < math.inf:
+            lane.grazed = lane.time + s.h[j] * at
+
+
+@compiled
 def _both_below(s, j, level, end):
     """First theta in [0, end] at which both approaches lie below `level`, or inf."""
     at = 0.0
@@ -407,34 +424,32 @@ def after_step(s, j):
     lane.why and lane.side receive what ends it.
     """
     lane = s.lane[j]
-    ends = _first_event(s, j)
-    if ends < s.theta[j]:
-        for i in range(POINTS + 1):
-            for m in range(j, PAIR, LANES):
-                s.at[i, m], s.rate[i, m] = approach_of(s, m, ends * i / POINTS)
+    ends, kinds, eventful = s.theta[j], 0, may_end(s, j)
+    if s.wanted & OF_BOTH:
+        kinds = _may_grow(s, j)
+    if eventful:
+        ends = _first_event(s, j)
+        if ends < s.theta[j]:
+            for i in range(POINTS + 1):
+                for m in range(j, PAIR, LANES):
+                    s.at[i, m], s.rate[i, m] = approach_of(s, m, ends * i / POINTS)
     _note_approaches(s, j, ends)
-    for kind in range(DIFFERENCE, KINDS):
-        if s.wanted & (1 << (kind - 1)):
-            lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
-    if lane.low > 0.0:  # the record ends below a share of the largest approach
+    if kinds:
+        for kind in range(DIFFERENCE, KINDS):
+            if kinds & (1 << kind):
+                lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
+    if eventful and lane.low > 0.0:  # the record ends below a share of the largest approach
         if not lane.by_law:
             lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
-        at = math.inf
-        if max(s.floor[j], s.floor[LANES + j]) < lane.low:
-            at = _both_below(s, j, lane.low, ends)
+        at = _both_below(s, j, lane.low, ends)
         if at <= ends:
             ends, lane.why, lane.ended = at, End.RECORD, lane.time + at * s.h[j]
             if lane.lost > lane.ended:  # a loss after the record's end is none
                 lane.lost = math.nan
-    if s.wanted & WANT_CARRIED:  # the integrals of both squared forces
-        for face in range(2):
-            total = 0.0
-            for i in range(WAVE):
-                force = value_of(s.force, face * LANES + j, ends * _NODES[i])
-                total += _WEIGHTS[i] * force * force
-            lane.carried[face] += total * ends * s.h[j]
-    if s.wanted & WANT_DURATION:
-        lane.impulse += _impulse(s, j, ends) * ends * s.h[j]
+    if s.wanted & tracked.WANT_CARRIED:
+        _note_squared_forces(s, j, ends)
+    if s.wanted & tracked.WANT_DURATION:
+        _note_impulse(s, j, ends)
     return ends
 
 
@@ -452,7 +467,7 @@ def _note_approaches(s, j, ends):
         elif s.top[m] > lane.peak[to]:
             lane.peak[to], place = _deepest(s, j, m, ends, lane.peak[to])
         # above it a face has touched
-        if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.scale_x[m]:
+        if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[2 * face, j]:
             lane.touched[face] = 1.0
         if s.rigged and place >= 0.0:
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
@@ -462,7 +477,34 @@ def _note_approaches(s, j, ends):
 
 
 #: functions of both faces whose largest values are followed
-OF_BOTH = WANT_DIFFERENCE | WANT_ENERGY | WANT_SHARE | WANT_MEAN
+OF_BOTH = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
+
+
+@compiled
+def _may_grow(s, j):
+    """Functions of both faces (bits) that may be the largest so far in the step of a lane."""
+    lane = s.lane[j]
+    a, b, kinds, wanted = j, LANES + j, 0, s.wanted
+    if wanted & (tracked.WANT_MEAN | tracked.WANT_DIFFERENCE):
+        most_a, _ = face_force(s, a, s.top[a])
+        most_b, _ = face_force(s, b, s.top[b])
+        if wanted & tracked.WANT_MEAN and 0.5 * (most_a + most_b) > lane.peak[MEAN]:
+            kinds |= 1 << MEAN
+        if wanted & tracked.WANT_DIFFERENCE:
+            least_a, _ = face_force(s, a, s.floor[a])
+            least_b, _ = face_force(s, b, s.floor[b])
+            if max(most_a - least_b, most_b - least_a) > lane.peak[DIFFERENCE]:
+                kinds |= 1 << DIFFERENCE
+    if wanted & (tracked.WANT_ENERGY | tracked.WANT_SHARE):
+        most_a, _ = stored_energy(s, a, s.top[a])
+        most_b, _ = stored_energy(s, b, s.top[b])
+        if wanted & tracked.WANT_ENERGY and most_a + most_b > lane.peak[ENERGY]:
+            kinds |= 1 << ENERGY
+        if wanted & tracked.WANT_SHARE and s.chi[a] * most_a + s.chi[b] * most_b > lane.peak[SHARE]:
+            kinds |= 1 << SHARE
+    return kinds
+
+
 #: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
 _NODES, _WEIGHTS = (
     0.5 * (array + shift)
@@ -471,24 +513,38 @@ _NODES, _WEIGHTS = (
 
 
 @compiled
-def _impulse(s, j, theta):
-    """The integral of the mean force over a step, per unit of its length.
+def _note_impulse(s, j, theta):
+    """Add the integral of the mean force over a step.
 
     The series of the forces err as those of the approaches do, by a share of the largest one.
     While the impulse is less than a fiftieth of that it is summed over forces of the approaches, in
     z with t = z²: smooth from a touch on.
     """
-    lane, impulse = s.lane[j], 0.0
-    if lane.touching or 50.0 * lane.impulse < max(s.scale_x[j], s.scale_x[LANES + j]):
+    lane = s.lane[j]
+    impulse = 0.0
+    if lane.touching or 50.0 * lane.impulse < max(s.size[0, j], s.size[2, j]):
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):
                 x, _ = approach_of(s, m, theta * _NODES[i] * _NODES[i])
-                impulse += _WEIGHTS[i] * _NODES[i] * face_force(s, m, x)[0]
+                force, _ = face_force(s, m, x)
+                impulse += _WEIGHTS[i] * _NODES[i] * force
     else:
         for k in range(ORDER, -1, -1):
             mean = 0.5 * (s.force[k, j] + s.force[k, LANES + j])
             impulse = impulse * theta + mean / (k + 1.0)
-    return impulse
+    lane.impulse += impulse * theta * s.h[j]
+
+
+@compiled
+def _note_squared_forces(s, j, theta):
+    """Add the integrals of both squared forces over a step up to theta."""
+    lane = s.lane[j]
+    for face in range(2):
+        total = 0.0
+        for i in range(WAVE):
+            force = value_of(s.force, face * LANES + j, theta * _NODES[i])
+            total += _WEIGHTS[i] * force * force
+        lane.carried[face] += total * theta * s.h[j]
 
 
 @compiled

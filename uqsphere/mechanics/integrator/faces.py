@@ -82,29 +82,30 @@ def new_faces(s, j, given):
 
 
 @compiled
-def switch(s, m, above):
-    """Bring a face at `above` its dent to its other branch; returns the approach above the dent
-    that it has then.
+def press_on(s, m):
+    """A spring whose approach rises through the largest so far: virgin loading."""
+    s.spring[m] = 0.0
+    onset, b = s.onset[m], s.softening[m]
+    force, side = s.unit_force[m], math.sqrt(onset)
+    s.shift[m], s.hertz[m] = s.dent[m], 0.0
+    s.by_x[m] = 1.5 * force * (1.0 + b) / onset
+    s.by_root[m] = -3.0 * force * b * b / side
+    s.by_log[m] = 3.0 * force * b * b * (b - 1.0)
+    s.constant[m] = force * (1.0 - 1.5 * (1.0 + b) + 3.0 * b * b) + s.by_x[m] * s.dent[m]
+    s.base[m] = (b - 1.0) * side
 
-    A spring rises through the largest approach so far: virgin loading.  That ends in a spring with
-    a new dent.
+
+@compiled
+def let_go(s, m, above):
+    """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach
+    above that.
     """
-    onset, b, unit = s.onset[m], s.softening[m], s.unit_force[m]
-    if s.spring[m] > 0.0:
-        side = math.sqrt(onset)
-        s.spring[m], s.hertz[m], s.shift[m] = 0.0, 0.0, s.dent[m]
-        s.by_x[m] = 1.5 * unit * (1.0 + b) / onset
-        s.by_root[m] = -3.0 * unit * b * b / side
-        s.by_log[m] = 3.0 * unit * b * b * (b - 1.0)
-        s.constant[m] = unit * (1.0 - 1.5 * (1.0 + b) + 3.0 * b * b) + s.by_x[m] * s.dent[m]
-        s.base[m] = (b - 1.0) * side
-        return s.largest[m] - s.dent[m]
-    s.lane[m % LANES].unloadings += 1.0
-    approach = above + s.dent[m]
+    approach, onset = above + s.dent[m], s.onset[m]
     largest = max(approach, s.largest[m])
-    force = _virgin_force(largest / onset, b)
-    recovered = onset * force / math.sqrt(_virgin_area(largest / onset, b, s.pile_up[m]))
-    s.peak_force[m] = unit * force
+    force = _virgin_force(largest / onset, s.softening[m])
+    area = _virgin_area(largest / onset, s.softening[m], s.pile_up[m])
+    recovered = onset * force / math.sqrt(area)
+    s.peak_force[m] = s.unit_force[m] * force
     s.largest[m], s.dent[m] = largest, largest - recovered
     s.spring[m] = s.peak_force[m] / (recovered * math.sqrt(recovered))
     s.hertz[m] = s.spring[m]
@@ -114,9 +115,44 @@ def switch(s, m, above):
 
 
 @compiled
+def switch(s, m, above):
+    """The other branch of a face at `above` its dent; returns the approach above the dent that it
+    has then.
+    """
+    if s.spring[m] > 0.0:
+        press_on(s, m)
+        return s.largest[m] - s.dent[m]
+    s.lane[m % LANES].unloadings += 1.0
+    return let_go(s, m, above)
+
+
+@compiled
+def press_deeper(s, j):
+    """The largest approach of faces on virgin loading, at the end of a step."""
+    for m in range(j, PAIR, LANES):
+        if s.spring[m] == 0.0:
+            s.largest[m] = max(s.largest[m], s.x[0, m] + s.dent[m])
+
+
+@compiled
+def on_virgin_loading(s, j):
+    """Whether a face of a j yields now."""
+    return s.spring[j] == 0.0 or s.spring[LANES + j] == 0.0
+
+
+@compiled
 def face_yielded(s, m):
     """Whether a face has yielded, or does."""
     return s.spring[m] == 0.0 or s.largest[m] > s.onset[m]
+
+
+@compiled
+def follows_law(s, j):
+    """Whether the force of a face of a j is no longer x^(3/2): it has yielded, or the faces
+    differ.
+    """
+    differ = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
+    return differ or face_yielded(s, j) or face_yielded(s, LANES + j)
 
 
 @compiled
@@ -161,24 +197,33 @@ def face_force(s, m, above):
 
 
 @compiled
+def _virgin(s, m, approach):
+    """Force of a face at its largest approach so far, and its derivative; elastic below the
+    onset.
+    """
+    onset, b = s.onset[m], s.softening[m]
+    z = approach / onset
+    if z <= 1.0:
+        side = s.stiffness[m] * math.sqrt(approach)
+        return side * approach, 1.5 * side
+    return s.unit_force[m] * _virgin_force(z, b), s.unit_force[m] * _virgin_slope(z, b) / onset
+
+
+@compiled
 def approach_at(s, m, force):
-    """Approach at which first loading, elastic below the onset, reaches a force: by Newton's method
-    from that of Hertz, which lies below.
+    """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz,
+    which lies below.
 
     Hertz and what follows the onset are convex.
     """
-    onset, b, unit = s.onset[m], s.softening[m], s.unit_force[m]
-    approach = (force / s.stiffness[m]) ** (2.0 / 3.0)
+    found = (force / s.stiffness[m]) ** (2.0 / 3.0)
     for _ in range(60):
-        z = approach / onset
-        if z <= 1.0:
-            return approach
-        slope = unit * _virgin_slope(z, b) / onset
-        following = approach - (unit * _virgin_force(z, b) - force) / slope
-        if abs(following - approach) <= 1e-15 * approach:
+        reached, slope = _virgin(s, m, found)
+        following = found - (reached - force) / slope
+        if abs(following - found) <= 1e-15 * found:
             break
-        approach = following
-    return approach
+        found = following
+    return found
 
 
 @compiled
@@ -253,6 +298,15 @@ def wrong_branch(s, m, length, beyond):
         return rate < -still or (rate <= still and bow < 0.0)
     rises = bow > 0.0 if rate <= still else rate * rate > -4.0 * bow * beyond
     return x >= (s.largest[m] - s.dent[m]) * (1.0 - ARMED) and rate >= -still and rises
+
+
+@compiled
+def most_force(s, j):
+    """The larger force of a j at most while its approaches stay below their bounds, s.top."""
+    found = 0.0
+    for m in range(j, PAIR, LANES):
+        found = max(found, face_force(s, m, s.top[m])[0])
+    return found * (1.0 + 1e-9)
 
 
 @compiled

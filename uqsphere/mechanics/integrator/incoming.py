@@ -12,7 +12,7 @@ import math
 
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.lanes import WAVE_THETAS
-from uqsphere.mechanics.integrator.tracked import CROWDED, LANES, ORDER, QUEUE, TERMS, WAVE
+from uqsphere.mechanics.integrator.tracked import LANES, ORDER, QUEUE, TERMS, WAVE
 
 
 @compiled
@@ -34,12 +34,8 @@ def incident(s, j):
 
 
 @compiled
-def cross_jump(s, j, rows):
-    """Go on from the start of a row or a jump of the waves: the piece of the pulse that holds now,
-    the echoes of the jump, and the next time at which a step has to end.
-
-    What happens now comes back after a round trip of each bar; no room for that is the row's fate.
-    """
+def enter_piece(s, j, rows):
+    """Put the piece of the pulse that begins at or holds the time of a lane into it."""
     lane = s.lane[j]
     r, pieces, piece = lane.number, rows.coefficients.shape[1], 0
     while piece < pieces and rows.breaks[r, piece + 1] <= lane.time:
@@ -49,26 +45,39 @@ def cross_jump(s, j, rows):
         lane.cubic[k] = rows.coefficients[r, piece, k] if piece < pieces else 0.0
     if piece < pieces:
         lane.offset, lane.frequency = rows.breaks[r, piece], rows.frequencies[r]
-    over = rows.breaks[r, -1]
-    if lane.back == math.inf and over == math.inf:
-        lane.steady = 1.0
-    elif lane.back == math.inf and lane.time >= over:
-        lane.steady = 0.0
-    near, lane.stop = lane.time + 1e-13 * (1.0 + lane.time), lane.end
+
+
+@compiled
+def next_break(s, j, rows):
+    """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
+    lane = s.lane[j]
+    best, r = lane.end, lane.number
+    near = lane.time + 1e-13 * (1.0 + lane.time)
     for k in range(rows.breaks.shape[1]):
-        if near < rows.breaks[r, k] < lane.stop:
-            lane.stop = rows.breaks[r, k]
+        if near < rows.breaks[r, k] < best:
+            best = rows.breaks[r, k]
+    for bar in range(2):
+        while lane.head[bar] < lane.tail[bar] and s.queue[bar, j, lane.head[bar] % QUEUE] <= near:
+            lane.head[bar] += 1
+        if lane.head[bar] < lane.tail[bar]:
+            best = min(best, s.queue[bar, j, lane.head[bar] % QUEUE])
+    return best
+
+
+@compiled
+def reflect_break(s, j):
+    """Note that whatever happens now comes back after a round trip of each bar; False if there is
+    no room.
+    """
+    lane = s.lane[j]
     for bar in range(2):
         back = lane.time + lane.trips[bar]
         if back < lane.end:
             if lane.tail[bar] - lane.head[bar] >= QUEUE:
-                lane.fate = CROWDED
+                return False
             s.queue[bar, j, lane.tail[bar] % QUEUE] = back
             lane.tail[bar] += 1
-        while lane.head[bar] < lane.tail[bar] and s.queue[bar, j, lane.head[bar] % QUEUE] <= near:
-            lane.head[bar] += 1
-        if lane.head[bar] < lane.tail[bar]:
-            lane.stop = min(lane.stop, s.queue[bar, j, lane.head[bar] % QUEUE])
+    return True
 
 
 @compiled
@@ -137,4 +146,4 @@ def read_echo(s, j, bar, made):
             if WAVE_THETAS[i] >= from_theta:
                 s.echo[i, m] = s.work[i]
     s.returns[m] = 2.0 * lane.reflect[bar]
-    s.negligible[m] = 0.1 * s.error[j] * min(s.scale_x[j], s.scale_x[LANES + j]) / s.h[j]
+    s.negligible[m] = 0.1 * s.error[j] * min(s.size[0, j], s.size[2, j]) / s.h[j]

@@ -16,7 +16,7 @@ lane one step:
     events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
     turn      the end of the record (`_fate`, `_judge`), or the next state (`_move_on`), the next
-              jump of the waves and length; a lane that is done leaves (`_leave`)
+              jump of the waves (`_jump`) and length; a lane that is done leaves (`_leave`)
 
 A record ends at the horizon; between infinite bars once both forces stay below a share of the
 largest; of a rig once all gaps grow and no echo can close them.  It ends sooner where nothing that
@@ -24,7 +24,7 @@ is wanted can change any more: no largest value can grow under a steady wave
 (`records.no_later_peak`); or, at a loss of contact, no approach can (`records.no_higher_approach`)
 or no wave can press harder (`records.no_harder_squeeze`).
 
-What a lane knows are the fields of `LANE` and its columns of `STATE`, with their
+What a lane knows are the fields of `tracked.LANE` and its columns of `tracked.STATE`, with their
 units and who writes them.
 """
 
@@ -34,14 +34,16 @@ import math
 from typing import NamedTuple
 
 from uqsphere.arrays import Array, Places
-from uqsphere.mechanics.integrator import events, incoming, lanes, records
+from uqsphere.mechanics.integrator import events, incoming, lanes, records, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.faces import (
     MOST_TURNS,
     face_force,
-    face_yielded,
+    follows_law,
     largest_approach,
+    most_force,
     new_faces,
+    press_deeper,
     start_series,
     switch,
     tail_level,
@@ -52,24 +54,12 @@ from uqsphere.mechanics.integrator.tracked import (
     FACE_A,
     FACE_B,
     FULL,
-    FULL_ROOM,
     LANES,
     LINEAR,
     MASSLESS,
-    NEVER_CLOSES,
-    OK,
     PAIR,
     POINTS,
-    POLE_GIVES,
-    POLE_LIGHTNESS,
-    POLE_SPEED,
-    POLE_THERE,
-    STILL_PRESSED,
-    STUCK,
     TERMS,
-    WANT_MOTION,
-    WANT_RISE,
-    WHOLE_PATH,
     End,
 )
 
@@ -96,7 +86,7 @@ class Rows(NamedTuple):
     mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
     breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
     inf for the rule of infinite bars, which needs pulse_end (n,).  level (n,): scale of x that is
-    expected at least.  laws (n, LAWS, 2): of both faces.  poles (n, POLES, 2),
+    expected at least.  laws (n, tracked.LAWS, 2): of both faces.  poles (n, tracked.POLES, 2),
     speed (n,): what stands at the poles, and u at the start.  `march_rows` fills laws and poles in
     where faces are alike and elastic, or stand on two bars; whether they are so is in the state
     (`has_laws`, `rigged`).  The record of other rigs than bars ends when the bodies part.
@@ -117,7 +107,7 @@ class Rows(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """What n rows come to: answers (n, ANSWERS), status (n,) and steps (n,)."""
+    """What n rows come to: answers (n, tracked.ANSWERS), status (n,) and steps (n,)."""
 
     answers: Array
     status: Places
@@ -128,16 +118,16 @@ class Answers(NamedTuple):
 def march(rows, order, state, made, kept, out):
     """Integrate rows `order` of a batch; what they come to goes to `out`.
 
-    state (1,): STATE with what is asked; made (LANES, room): STEP; kept
-    (len(order), room): PATH, the series of every row, where there is room for them.
+    state (1,): tracked.STATE with what is asked; made (LANES, room): tracked.STEP; kept
+    (len(order), room): tracked.PATH, the series of every row, where there is room for them.
     """
     s, taken, live = state[0], 0, 0
     while True:
         for j in range(LANES if live < LANES else 0):
             lane = s.lane[j]
             while lane.number < 0 and taken < len(order):
-                _enter(s, j, order[taken], rows)
                 lane.place_in_order = taken
+                _enter(s, j, order[taken], rows)
                 taken += 1
                 if lane.fate != GOES_ON:
                     _leave(s, j, made, out)
@@ -151,9 +141,10 @@ def march(rows, order, state, made, kept, out):
             if _holds(s, j):
                 ending = events.after_step(s, j)
                 _keep(s, j, ending, made)
-                if s.wanted & WANT_MOTION and lane.count <= kept.shape[1]:
+                if s.wanted & tracked.WANT_MOTION and lane.count <= kept.shape[1]:
                     _give_out(s, j, ending, kept[lane.place_in_order, lane.count - 1])
-                _turn(s, j, ending, rows, made)
+                if _turn(s, j, ending, made):
+                    _jump(s, j, rows)
                 _judge(s, j)
             if lane.fate != GOES_ON:
                 _leave(s, j, made, out)
@@ -169,7 +160,7 @@ def _leave(s, j, made, out):
     lane = s.lane[j]
     r = lane.number
     out.status[r], lane.number = lane.fate, -1
-    if lane.fate != OK:
+    if lane.fate != tracked.OK:
         return
     out.steps[r] = lane.count
     if math.isnan(lane.ended):
@@ -190,43 +181,50 @@ def _leave(s, j, made, out):
 def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
     lane = s.lane[j]
-    s.lane[j] = s.blank
     level = rows.level[r]
-    lane.number, lane.touching, lane.fate, lane.proposed, s.error[j] = r, 1, GOES_ON, 1e30, s.local
+    lane.number, lane.count, lane.attempts, lane.touching, lane.fate = r, 0, 0, 1, GOES_ON
+    lane.single, lane.time, lane.proposed, s.error[j] = 0, 0.0, 1e30, s.local
     lane.mass, s.inverse_mu[j] = rows.mass[r], 1.0 / rows.mass[r]
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
     lane.end, lane.pulse_end = rows.horizon[r], rows.pulse_end[r] * (1.0 - 1e-12)
-    s.scale_u[j] = 0.1 * level
+    s.size[0, j], s.size[1, j], s.size[2, j] = level, 0.1 * level, level
+    s.size[3, j], s.size[4, j] = 1.0, 1.0
     new_faces(s, j, rows.laws[r])
-    for m in range(j, PAIR, LANES):  # faces that differ, or that yield from the start
-        lane.by_law |= s.stiffness[m] != 1.0 or face_yielded(s, m)
+    lane.by_law = follows_law(s, j)
     quickest, stiffest = 1.0 / rows.mass[r], 0.0
     for face in range(2):
-        m, lightness = face * LANES + j, rows.poles[r, POLE_LIGHTNESS, face]
+        m, lightness = face * LANES + j, rows.poles[r, tracked.POLE_LIGHTNESS, face]
         lane.reflect[face], lane.trips[face] = rows.ends[r, face], rows.round_trips[r, face]
-        s.gives[m], s.lightness[m] = rows.poles[r, POLE_GIVES, face], lightness
+        lane.head[face], lane.tail[face], lane.first[face], lane.last[face] = 0, 0, 0, 0
+        s.gives[m], s.lightness[m] = rows.poles[r, tracked.POLE_GIVES, face], lightness
         s.there[m], s.free[0, m] = (
-            rows.poles[r, POLE_THERE, face],
-            rows.poles[r, POLE_SPEED, face],
+            rows.poles[r, tracked.POLE_THERE, face],
+            rows.poles[r, tracked.POLE_SPEED, face],
         )
-        s.x[0, m], s.u[0, m], s.scale_x[m], s.scale_free[m] = 0.0, 0.0, level, 1.0
+        s.x[0, m], s.u[0, m] = 0.0, 0.0
         if s.rigged:
             s.u[0, m] = rows.speed[r]
-            s.scale_x[m] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
+            s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
             if lightness > 0.0:
-                s.scale_free[m] = 0.1 * min(1.0, lightness)
+                s.size[3 + face, j] = 0.1 * min(1.0, lightness)
         lane.touched[face] = 1.0 - s.there[m]
         if s.there[m] > 0.0:
             quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
     lane.quickest = quickest
     if s.rigged:
         lane.quickest = max(quickest, 1.0) * max(stiffest, 1.0)
-        s.scale_u[j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
+        s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     lane.back = min(lane.trips[0], lane.trips[1])
-    incoming.cross_jump(s, j, rows)
+    lane.steady = -1.0
+    if rows.breaks[r, -1] == math.inf and lane.back == math.inf:
+        lane.steady = 1.0
+    records.begin(s, j)
+    incoming.enter_piece(s, j, rows)
+    incoming.reflect_break(s, j)
+    lane.stop = incoming.next_break(s, j, rows)
     if s.rigged and not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
-        lane.fate = NEVER_CLOSES
+        lane.fate = tracked.NEVER_CLOSES
 
 
 # --- waves
@@ -267,8 +265,7 @@ def _try_step(s, j):
     nearly is.
     """
     lane = s.lane[j]
-    scale = min(s.scale_x[j], s.scale_x[LANES + j])
-    largest = max(s.scale_x[j], s.scale_x[LANES + j])
+    scale, largest = min(s.size[0, j], s.size[2, j]), max(s.size[0, j], s.size[2, j])
     if lane.touching:
         # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a
         # touch
@@ -281,10 +278,10 @@ def _try_step(s, j):
     # impulse by which a step may err because the series of its root has parted from the root
     allowed = math.inf
     if s.mode == FULL:
-        allowed = lane.mass * s.scale_u[j]
-    for m in range(j, PAIR, LANES):
-        if s.lightness[m] > 0.0:
-            allowed = min(allowed, s.scale_free[m] / s.lightness[m])
+        allowed = lane.mass * s.size[1, j]
+    for face in range(2):
+        if s.lightness[face * LANES + j] > 0.0:
+            allowed = min(allowed, s.size[3 + face, j] / s.lightness[face * LANES + j])
     parts = _APART
     if s.rigged:
         parts = _APART_IN_RIGS
@@ -340,17 +337,27 @@ def _choose(s, j):
         theta, s.wrong_allowed[j] = 1.0, math.inf
         events.step_from_touch(s, j)
     elif lane.by_law:
-        # faces at rest where both branches meet are not against theirs
-        for face in range(2):
-            m = face * LANES + j
-            rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
-            if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.scale_x[j]):
-                lane.switched |= 1 << face
+        lane.switched = _against_branch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
     elif 2.0 * theta * s.h[j] > left:
         theta = min(theta, 0.5 * left / s.h[j])
     s.theta[j] = s.theta[LANES + j] = theta
+
+
+@compiled
+def _against_branch(s, j):
+    """Faces (bits) that what jumped has turned against their branch, unless they are at rest where
+    both meet.
+    """
+    lane = s.lane[j]
+    wrong = 0
+    for face in range(2):
+        m = face * LANES + j
+        rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
+        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[0, j]):
+            wrong |= 1 << face
+    return wrong
 
 
 # --- holds
@@ -362,15 +369,8 @@ def _holds(s, j):
     shorter, or the row given up.
     """
     lane = s.lane[j]
-    if lane.switched:  # the step is made again on the other branch of these faces
-        s.error[j] = min(s.error[j], s.closer * s.local)
-        for face in range(2):
-            m = face * LANES + j
-            if lane.switched & (1 << face):
-                if s.turned_at[m] != lane.time:
-                    s.turns[m] = 0.0
-                s.turns[m] += 1.0
-                s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), lane.time
+    if lane.switched:
+        _change_branch(s, j)
         return False
     if s.has_laws and lane.touching:
         reached = within_spring(s, j)
@@ -380,7 +380,7 @@ def _holds(s, j):
     # the root's series has parted from the root; a series has overflowed; an echo is not fitted
     crossed, overflowed = s.excess[j] > 1.0, not s.theta[j] > 0.0
     left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
-    misfit = left_out > s.error[j] * min(s.scale_x[j], s.scale_x[LANES + j])
+    misfit = left_out > s.error[j] * min(s.size[0, j], s.size[2, j])
     if not (crossed or overflowed or misfit):
         return True
     lane.attempts += 1
@@ -395,8 +395,22 @@ def _holds(s, j):
         if joints > 0 and not lane.single:
             lane.single, lane.proposed = 1, s.h[j]
     if lane.proposed <= 1e-15 * (1.0 + lane.time) or lane.attempts > 10 * LIMIT:
-        lane.fate = STUCK
+        lane.fate = tracked.STUCK
     return False
+
+
+@compiled
+def _change_branch(s, j):
+    """Bring faces to their other branch, on which the step is made again."""
+    lane = s.lane[j]
+    s.error[j] = min(s.error[j], s.closer * s.local)
+    for face in range(2):
+        m = face * LANES + j
+        if lane.switched & (1 << face):
+            if s.turned_at[m] != lane.time:
+                s.turns[m] = 0.0
+            s.turns[m] += 1.0
+            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), lane.time
 
 
 # --- keep and turn
@@ -416,12 +430,10 @@ def _keep(s, j, ending, made):
     ):  # errors to one side add up: of so many steps no more than a logarithm
         s.error[j] *= 1.0 - 1.0 / lane.count
     step.began, step.holds, step.unit = lane.time, ending * s.h[j], s.h[j]
-    if s.wanted & WANT_RISE:
+    if s.wanted & tracked.WANT_RISE:
         step.crest = max(s.top[j], s.top[LANES + j])
         if s.has_laws:
-            # forces stay below it while the approaches stay below their bounds
-            most_a, most_b = face_force(s, j, s.top[j]), face_force(s, LANES + j, s.top[LANES + j])
-            step.crest = max(most_a[0], most_b[0]) * (1.0 + 1e-9)
+            step.crest = most_force(s, j)
         for face in range(2):
             m = face * LANES + j
             step.spring[face], step.dent[face] = s.spring[m], s.dent[m]
@@ -457,8 +469,10 @@ def _give_out(s, j, ending, path):
 
 
 @compiled(inline=True)
-def _turn(s, j, ending, rows, made):
-    """The state from which the next step of a lane starts, or the end of its row."""
+def _turn(s, j, ending, made):
+    """The state from which the next step of a lane starts, or the end of its row; whether the waves
+    jump.
+    """
     lane = s.lane[j]
     reaches, ahead = records.approach_after_loss(s, j, ending), math.nan
     at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
@@ -469,23 +483,9 @@ def _turn(s, j, ending, rows, made):
         lane.time = lane.stop
     if s.rigged and not lane.touching:
         ahead = events.next_touch(s, j)
-    # what an echo cut short at a joint of its steps is tried again beyond it
-    kept_up, growth = 0.0, GROWTH
-    if ending == 1.0 and not at_stop:
-        kept_up = lane.proposed
-    if incoming.heard(lane, lane.back):
-        growth = GROWTH_ECHO
-    lane.proposed = max(ending * s.h[j] * growth, kept_up)
-    if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
-        lane.proposed = max(lane.proposed, s.h[j])
-    if ahead < math.inf:  # free flight is linear in time: one step to the touch
-        lane.proposed = 1.001 * ahead
-    elif ahead == math.inf:
-        lane.proposed = 1e30
+    _propose(s, j, ending, at_stop, ahead)
     lane.fate = _fate(s, j, at_stop, ahead, reaches, made)
-    if at_stop and lane.fate == GOES_ON:
-        lane.proposed *= GROWTH
-        incoming.cross_jump(s, j, rows)
+    return at_stop and lane.fate == GOES_ON
 
 
 @compiled(inline=True)
@@ -493,18 +493,18 @@ def _fate(s, j, at_stop, ahead, reaches, made):
     """Status with which the row of a lane ends where it stands now, or `GOES_ON`."""
     lane = s.lane[j]
     if lane.why == End.RECORD:
-        return OK
+        return tracked.OK
     if ahead == math.inf and lane.time >= records.echoes_have_acted(s, j):
-        return OK
+        return tracked.OK
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
         records.note_duration(s, j, 0.0)
         if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made):
-            return OK
+            return tracked.OK
     if at_stop and lane.time >= lane.end:
         if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
-            return STILL_PRESSED
-        return OK
+            return tracked.STILL_PRESSED
+        return tracked.OK
     return GOES_ON
 
 
@@ -515,17 +515,17 @@ def _judge(s, j):
     if lane.fate != GOES_ON:
         return
     if lane.steady >= 0.0 and not lane.touching and not s.rigged and records.no_later_peak(s, j):
-        lane.fate = OK
+        lane.fate = tracked.OK
         return
     # the first step that is read again: of the whole path, or of the waves of a round trip
     oldest = lane.count
-    if s.wanted & WHOLE_PATH:
+    if s.wanted & tracked.WHOLE_PATH:
         oldest = 0
     for bar in range(2):
         if lane.trips[bar] < math.inf and lane.time < lane.end:
             oldest = min(oldest, max(lane.first[bar], 0))
     if lane.count - oldest >= s.capacity or lane.count >= LIMIT:
-        lane.fate = FULL_ROOM
+        lane.fate = tracked.FULL_ROOM
 
 
 @compiled
@@ -556,19 +556,51 @@ def _move_on(s, j, ending):
             s.at[POINTS, other] = s.at[POINTS, touched]
     s.x[0, j], s.x[0, LANES + j] = s.at[POINTS, j], s.at[POINTS, LANES + j]
     s.u[0, j] = s.u[0, LANES + j] = s.u_end[j]
-    for m in range(j, PAIR, LANES):
-        if s.rigged:
-            s.free[0, m] = events.value_of(s.free, m, ending)
-            s.scale_free[m] = max(s.scale_free[m], abs(s.free[0, m]))
-            # what opens says nothing of the approaches
-            s.scale_x[m] = max(s.scale_x[m], s.x[0, m])
-        else:
-            s.scale_x[m] = max(s.scale_x[m], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
-    s.scale_u[j] = max(s.scale_u[j], abs(s.u[0, j]))
-    if lane.by_law:
+    if s.rigged:
         for face in range(2):
             m = face * LANES + j
-            if s.spring[m] == 0.0:
-                s.largest[m] = max(s.largest[m], s.x[0, m] + s.dent[m])
+            s.free[0, m] = events.value_of(s.free, m, ending)
+            s.size[3 + face, j] = max(s.size[3 + face, j], abs(s.free[0, m]))
+            # what opens says nothing of the approaches
+            s.size[2 * face, j] = max(s.size[2 * face, j], s.x[0, m])
+    else:
+        s.size[0, j] = max(s.size[0, j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
+        s.size[2, j] = s.size[0, j]
+    s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
+    if lane.by_law:
+        press_deeper(s, j)
+        for face in range(2):
             if not incoming.heard(lane, lane.back):
-                lane.x_first[face] = largest_approach(s, m)
+                lane.x_first[face] = largest_approach(s, face * LANES + j)
+
+
+@compiled(inline=True)
+def _propose(s, j, ending, at_stop, ahead):
+    """How long the next step may be; ahead: until a gap closes in free flight, else NaN."""
+    lane = s.lane[j]
+    # what an echo cut short at a joint of its steps is tried again beyond it
+    kept_up, growth = 0.0, GROWTH
+    if ending == 1.0 and not at_stop:
+        kept_up = lane.proposed
+    if incoming.heard(lane, lane.back):
+        growth = GROWTH_ECHO
+    lane.proposed = max(ending * s.h[j] * growth, kept_up)
+    if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
+        lane.proposed = max(lane.proposed, s.h[j])
+    if ahead < math.inf:  # free flight is linear in time: one step to the touch
+        lane.proposed = 1.001 * ahead
+    elif ahead == math.inf:
+        lane.proposed = 1e30
+
+
+@compiled(inline=True)
+def _jump(s, j, rows):
+    """Go on from a jump of the waves, unless too many of them are under way."""
+    lane = s.lane[j]
+    lane.proposed *= GROWTH
+    incoming.enter_piece(s, j, rows)
+    if lane.time >= rows.breaks[lane.number, -1] and lane.back == math.inf:
+        lane.steady = 0.0
+    if not incoming.reflect_break(s, j):
+        lane.fate = tracked.CROWDED
+    lane.stop = incoming.next_break(s, j, rows)

@@ -184,19 +184,16 @@ def reach(s):
     beyond the circle in which the series holds, and its radius follows from how they grow over four
     powers.
     """
-    for c in range(PAIR):
-        before, last = abs(s.x[ORDER - 1, c]), abs(s.x[ORDER, c])
-        late = max(before, last)
-        early = max(abs(s.x[ORDER - 5, c]), abs(s.x[ORDER - 4, c]))
-        s.late[c] = late / s.scale_x[c]
-        s.circle[c] = _CIRCLE * math.sqrt(math.sqrt(early / (late + 1e-300)))
-        free, last_free = abs(s.free[ORDER - 1, c]), abs(s.free[ORDER, c])
-        s.before[c] = max(before / s.scale_x[c], free / s.scale_free[c])
-        s.last[c] = max(last / s.scale_x[c], last_free / s.scale_free[c])
+    o, p, n, r = ORDER, ORDER - 1, ORDER - 4, ORDER - 5
     for a in range(LANES):
-        b, u = LANES + a, s.scale_u[a]
-        before = max(max(s.before[a], s.before[b]), abs(s.u[ORDER - 1, a]) / u)
-        last = max(max(s.last[a], s.last[b]), abs(s.u[ORDER, a]) / u)
+        b = LANES + a
+        before_a, before_b = abs(s.x[p, a]), abs(s.x[p, b])
+        last_a, last_b = abs(s.x[o, a]), abs(s.x[o, b])
+        x_a, x_b, u, v_a, v_b = s.size[0, a], s.size[2, a], s.size[1, a], s.size[3, a], s.size[4, a]
+        before = max(max(before_a / x_a, before_b / x_b), abs(s.u[p, a]) / u)
+        before = max(before, max(abs(s.free[p, a]) / v_a, abs(s.free[p, b]) / v_b))
+        last = max(max(last_a / x_a, last_b / x_b), abs(s.u[o, a]) / u)
+        last = max(last, max(abs(s.free[o, a]) / v_a, abs(s.free[o, b]) / v_b))
         error = s.error[a]
         # theta^15 before + theta^16 last = error, by one step of a fixed-point iteration
         t = math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (before + last + 1e-300)))))
@@ -205,29 +202,42 @@ def reach(s):
         t_15 = t_4 * t_4 * t_4 * (t * t * t)
         sum_15 = t_15 * (before + t * last)
         t *= math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (sum_15 + 1e-300)))))
-        t = min(t, s.circle[a]) if s.late[a] > 1e-3 * error else t
-        t = min(t, s.circle[b]) if s.late[b] > 1e-3 * error else t
+        late_a, late_b = max(before_a, last_a), max(before_b, last_b)
+        early_a = max(abs(s.x[r, a]), abs(s.x[n, a]))
+        early_b = max(abs(s.x[r, b]), abs(s.x[n, b]))
+        circle_a = _CIRCLE * math.sqrt(math.sqrt(early_a / (late_a + 1e-300)))
+        circle_b = _CIRCLE * math.sqrt(math.sqrt(early_b / (late_b + 1e-300)))
+        t = min(t, circle_a) if late_a > 1e-3 * error * x_a else t
+        t = min(t, circle_b) if late_b > 1e-3 * error * x_b else t
         # a series that has overflowed says nothing, except that the step was far too long
         s.theta[a] = t if before + last < 1e200 else 0.0
+
+
+@compiled
+def _root_ends(s):
+    """s.wrong: by how much the force of the series of sqrt(x) differs at the step's end from that
+    of x.
+
+    Past a point where a face nearly leaves, x has two complex roots so close to the real axis that
+    the series walks between them and goes on, smoothly, with -sqrt(x).
+    """
+    for c in range(PAIR):
+        z, x, root = s.theta[c], s.x[ORDER, c], s.root[ORDER, c]
+        for k in range(1, TERMS):
+            x = x * z + s.x[ORDER - k, c]
+            root = root * z + s.root[ORDER - k, c]
+        wrong = x * abs(root - math.sqrt(max(x + s.shift[c], 0.0))) * s.stiffness[c]
+        s.wrong[c] = wrong if min(x, s.x[0, c]) > 0.0 else 0.0
 
 
 @compiled
 def keep_roots(s):
     """Shorten the steps at whose ends the root's series has parted from the root.
 
-    Past a point where a face nearly leaves, x has two complex roots so close to the real axis that
-    the series of sqrt(x) walks between them and goes on, smoothly, with -sqrt(x).  s.wrong: by how
-    much the force of that series differs at the step's end from that of x; s.excess: the impulse
-    of the difference over the whole step, over what is allowed.
+    s.excess: the impulse of that difference over the whole step, over what is allowed.
     """
     for attempt in range(_SHORTER + 1):
-        for c in range(PAIR):
-            z, x, root = s.theta[c], s.x[ORDER, c], s.root[ORDER, c]
-            for k in range(1, TERMS):
-                x = x * z + s.x[ORDER - k, c]
-                root = root * z + s.root[ORDER - k, c]
-            wrong = x * abs(root - math.sqrt(max(x + s.shift[c], 0.0))) * s.stiffness[c]
-            s.wrong[c] = wrong if min(x, s.x[0, c]) > 0.0 else 0.0
+        _root_ends(s)
         shorter = False
         for j in range(LANES):
             wrong = max(s.wrong[j], s.wrong[LANES + j])

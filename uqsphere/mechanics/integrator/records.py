@@ -20,35 +20,17 @@ from __future__ import annotations
 
 import math
 
+from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import compiled
 from uqsphere.mechanics.integrator.events import OF_BOTH, approach_of, first_at, highest_between
 from uqsphere.mechanics.integrator.faces import (
     face_yielded,
     largest_approach,
     largest_force,
+    on_virgin_loading,
     stored_energy,
 )
 from uqsphere.mechanics.integrator.tracked import (
-    ANSWER_BLUR,
-    ANSWER_CARRIED,
-    ANSWER_CONTACT,
-    ANSWER_CONTACT_CENSORED,
-    ANSWER_COUNTED,
-    ANSWER_DIFFERENCE,
-    ANSWER_DURATION,
-    ANSWER_END,
-    ANSWER_FACES,
-    ANSWER_FIRSTS,
-    ANSWER_GRAZED,
-    ANSWER_OTHERS,
-    ANSWER_PARTING,
-    ANSWER_RISE,
-    ANSWER_SPEED,
-    ANSWER_SPEEDS,
-    ANSWER_TOUCHES,
-    ANSWER_UNLOADINGS,
-    ANSWER_X_FIRST,
-    ANSWER_X_MAX,
     CELLS,
     DIFFERENCE,
     ENERGY,
@@ -62,10 +44,6 @@ from uqsphere.mechanics.integrator.tracked import (
     ORDER,
     PAIR,
     SHARE,
-    WANT_CARRIED,
-    WANT_CONTACT,
-    WANT_DURATION,
-    WANT_RISE,
     End,
 )
 
@@ -182,7 +160,7 @@ def _largest_squeeze(s, j):
     if not s.has_laws:
         largest = max(lane.peak[FACE_A], lane.peak[FACE_B])
         return (largest if s.mode == MASSLESS else 0.5 * largest), 1.0
-    if s.spring[j] == 0.0 or s.spring[LANES + j] == 0.0:
+    if on_virgin_loading(s, j):
         return 0.0, 1.0
     force, soft, stiff = largest_force(s, j), math.inf, 0.0
     for m in range(j, 2 * LANES, LANES):
@@ -353,9 +331,9 @@ def no_later_peak(s, j):
     """
     lane = s.lane[j]
     wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
-    if wanted & WANT_CONTACT or (lane.steady > 0.0 and wanted & OF_BOTH):
+    if wanted & tracked.WANT_CONTACT or (lane.steady > 0.0 and wanted & OF_BOTH):
         return False
-    if wanted & WANT_DURATION and not _stays_pressed(s, j):
+    if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
         return False
     if not no_higher_approach(s, j):
         return False
@@ -368,11 +346,12 @@ def no_later_peak(s, j):
     force = math.sqrt(2.0 * energy)
     if s.mode != LINEAR:
         force = stiffest**0.4 * (2.5 * energy) ** 0.6
-    for kind in range(DIFFERENCE, KINDS):
-        reach = energy if kind in (ENERGY, SHARE) else force
-        if wanted & (1 << (kind - 1)) and reach > lane.peak[kind] * slack:
-            return False
-    return True
+    return not (
+        (wanted & tracked.WANT_DIFFERENCE and force > lane.peak[DIFFERENCE] * slack)
+        or (wanted & tracked.WANT_MEAN and force > lane.peak[MEAN] * slack)
+        or (wanted & tracked.WANT_ENERGY and energy > lane.peak[ENERGY] * slack)
+        or (wanted & tracked.WANT_SHARE and energy > lane.peak[SHARE] * slack)
+    )
 
 
 @compiled
@@ -383,9 +362,23 @@ def note_duration(s, j, left):
     left: the impulse by which what is still pressed dies out once the waves are over, (Q2).
     """
     lane = s.lane[j]
-    if s.wanted & WANT_DURATION and not lane.peak[MEAN] <= lane.counted_peak:
+    if s.wanted & tracked.WANT_DURATION and not lane.peak[MEAN] <= lane.counted_peak:
         lane.duration = (lane.impulse + left) / lane.peak[MEAN]
         lane.counted, lane.counted_peak = lane.time, lane.peak[MEAN]
+
+
+@compiled
+def begin(s, j):
+    """Nothing is known yet of the row of a lane."""
+    lane = s.lane[j]
+    for kind in range(KINDS):
+        lane.peak[kind] = 0.0
+    for face in range(2):
+        lane.x_first[face], lane.other[face], lane.carried[face] = 0.0, 0.0, 0.0
+    lane.lost, lane.ended, lane.parted, lane.duration = math.nan, math.nan, math.nan, math.nan
+    lane.grazed, lane.blur = math.nan, 0.0
+    lane.unloadings, lane.touches, lane.chatter, lane.impulse = 0.0, 0.0, 0.0, 0.0
+    lane.counted, lane.counted_peak = 0.0, 0.0
 
 
 @compiled
@@ -394,37 +387,55 @@ def finish(s, j, made, out):
     lane = s.lane[j]
     for face in range(2):
         # of faces that are alike the larger is followed
-        out[ANSWER_FACES + face], out[ANSWER_FIRSTS + face] = (
-            lane.peak[FACE_A],
-            lane.x_first[FACE_A],
+        of, other = (face, lane.other[face]) if s.has_laws else (0, math.nan)
+        out[tracked.ANSWER_FACES + face] = (
+            largest_approach(s, face * LANES + j) if s.has_laws else lane.peak[0]
         )
-        if s.has_laws:
-            out[ANSWER_FACES + face] = largest_approach(s, face * LANES + j)
-            out[ANSWER_FIRSTS + face] = lane.x_first[face]
-            out[ANSWER_OTHERS + face] = lane.other[face]
-        if s.wanted & WANT_CARRIED:
-            out[ANSWER_CARRIED + face] = lane.carried[face]
-        out[ANSWER_SPEEDS + face] = s.side_sign[face * LANES] * s.free[0, face * LANES + j]
-    out[ANSWER_X_MAX] = max(out[ANSWER_FACES], out[ANSWER_FACES + 1])
-    out[ANSWER_X_FIRST] = max(lane.x_first[FACE_A], lane.x_first[FACE_B])
+        out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = (
+            lane.x_first[of],
+            other,
+        )
+    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = lane.unloadings, lane.chatter
+    out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
+    out[tracked.ANSWER_X_FIRST] = max(lane.x_first[0], lane.x_first[1])
+    out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = lane.ended, lane.duration
+    out[tracked.ANSWER_COUNTED] = lane.counted
+    out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = lane.ended, 1.0
+    if not math.isnan(lane.lost):
+        out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = lane.lost, 0.0
+    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = lane.grazed, lane.blur
+    out[tracked.ANSWER_PARTING] = lane.ended
+    if not math.isnan(lane.parted):
+        out[tracked.ANSWER_PARTING] = lane.parted
     for kind in range(DIFFERENCE, KINDS):
         if s.wanted & (1 << (kind - 1)):
-            out[ANSWER_DIFFERENCE + kind - DIFFERENCE] = lane.peak[kind]
-    out[ANSWER_CONTACT], out[ANSWER_PARTING] = lane.lost, lane.parted
-    out[ANSWER_CONTACT_CENSORED] = 0.0
-    if math.isnan(lane.lost):
-        out[ANSWER_CONTACT], out[ANSWER_CONTACT_CENSORED] = lane.ended, 1.0
-    if math.isnan(lane.parted):
-        out[ANSWER_PARTING] = lane.ended
-    out[ANSWER_END], out[ANSWER_SPEED] = lane.ended, s.u[0, j]
-    out[ANSWER_GRAZED], out[ANSWER_BLUR] = lane.grazed, lane.blur
-    out[ANSWER_UNLOADINGS], out[ANSWER_TOUCHES] = lane.unloadings, lane.chatter
-    out[ANSWER_DURATION], out[ANSWER_COUNTED] = lane.duration, lane.counted
-    if s.wanted & WANT_RISE:
-        top, power = out[ANSWER_X_MAX], 2.0 / 3.0
+            out[_ANSWER_OF[kind]] = lane.peak[kind]
+    if s.wanted & tracked.WANT_CARRIED:
+        out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = (
+            lane.carried[0],
+            lane.carried[1],
+        )
+    if s.wanted & tracked.WANT_RISE:
+        top, power = out[tracked.ANSWER_X_MAX], 2.0 / 3.0
         if s.has_laws:
             top = largest_force(s, j)
         if s.has_laws or s.mode == LINEAR:
             power = 1.0
-        tenth = first_at(s, j, made, top * 0.1**power)
-        out[ANSWER_RISE] = first_at(s, j, made, top * 0.9**power) - tenth
+        tenth, nine = (
+            first_at(s, j, made, top * 0.1**power),
+            first_at(s, j, made, top * 0.9**power),
+        )
+        out[tracked.ANSWER_RISE] = nine - tenth
+    out[tracked.ANSWER_SPEED] = s.u[0, j]
+    out[tracked.ANSWER_SPEEDS], out[tracked.ANSWER_SPEEDS + 1] = s.free[0, j], -s.free[0, LANES + j]
+
+
+#: columns of the answers that largest values go to
+_ANSWER_OF = (
+    tracked.ANSWER_FACES,
+    tracked.ANSWER_FACES + 1,
+    tracked.ANSWER_DIFFERENCE,
+    tracked.ANSWER_ENERGY,
+    tracked.ANSWER_SHARE,
+    tracked.ANSWER_MEAN,
+)

@@ -25,16 +25,7 @@ from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import without_collection
-from uqsphere.mechanics.integrator.tracked import (
-    TO_THE_END,
-    WANT_CONTACT,
-    WANT_DIFFERENCE,
-    WANT_DURATION,
-    WANT_MEAN,
-    WANT_MOTION,
-    WANT_SHARE,
-    empty_answers,
-)
+from uqsphere.mechanics.integrator.tracked import empty_answers
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
 
@@ -136,18 +127,32 @@ class Motion:
         units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
         return np.asarray(self._at(self.states, times) * units)
 
-    def forces_at(self, times: Array) -> Array:
-        """Contact forces at A and B [N] at `times` [s], (m, 2); of `linear` with the secant
-        stiffness beta sqrt(alpha_c).
+    def rates_at(self, times: Array) -> Array:
+        """Rates of the approaches at A, B [m/s] at `times` [s], (m, 2)."""
+        powers = np.arange(1, self.states.shape[2])
+        slopes = self.states[:, :2, 1:] * powers / self.length[:, None, None]
+        return np.asarray(
+            self._at(slopes, times) * (self.scene.scales.approach[self.row] / self.unit)
+        )
+
+    def force_at(self, approach: Array) -> Array:
+        """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c)
+        of `linear`.
         """
-        scales, row = self.scene.scales, self.row
-        if self.forces is not None:
-            return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * scales.force[row])
-        approach = self.states_at(times)[:, :2]
+        scales = self.scene.scales
         if self.fidelity == "linear":
-            stiffness = scales.force[row] / scales.approach[row]
-            return np.asarray(stiffness * np.maximum(approach, 0.0))
-        return np.asarray(contact.hertz_force(approach, scales.hertz_constant[row]))
+            return np.asarray(
+                scales.force[self.row] / scales.approach[self.row] * np.maximum(approach, 0.0)
+            )
+        return np.asarray(contact.hertz_force(approach, scales.hertz_constant[self.row]))
+
+    def forces_at(self, times: Array) -> Array:
+        """Contact forces at A and B [N] at `times` [s], (m, 2)."""
+        if self.forces is None:
+            return self.force_at(self.states_at(times)[:, :2])
+        return np.asarray(
+            np.maximum(self._at(self.forces, times), 0.0) * self.scene.scales.force[self.row]
+        )
 
     def pressure_at(self, force: Values, pole: int = 0) -> Values:
         """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the
@@ -281,11 +286,11 @@ def march_rows(
     from uqsphere.mechanics.integrator.kernel import Answers, Rows, march
 
     share = yielded = _LOCAL
-    if wanted & WANT_DIFFERENCE:
+    if wanted & tracked.WANT_DIFFERENCE:
         share = _LOCAL_DIFFERENCE
     finite = bool(np.isfinite(arguments["horizon"]).all())
     rigged, has_laws = arguments["poles"].shape[1] > 0, arguments["laws"].shape[1] > 0
-    if not rigged and wanted & (WANT_DURATION | WANT_CONTACT) and not finite:
+    if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
     if finite and not rigged:
         yielded = _LOCAL_YIELDED
@@ -296,11 +301,11 @@ def march_rows(
         local *= 0.1
     if mode == MODES["linear"]:
         power = 1.0
-    keep = wanted & WANT_MOTION != 0
+    keep = wanted & tracked.WANT_MOTION != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
     n, columns = len(arguments["mass"]), dict(arguments)
     if not has_laws:
-        columns["laws"], wanted = tracked.elastic_faces(n), wanted & ~WANT_SHARE
+        columns["laws"], wanted = tracked.elastic_faces(n), wanted & ~tracked.WANT_SHARE
     if not rigged:
         columns["poles"] = tracked.two_bars(n)
     rows = Rows(**columns)
@@ -319,19 +324,15 @@ def march_rows(
         "share": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
-        "scale_x": 1.0,
-        "scale_u": 1.0,
-        "scale_free": 1.0,
+        "size": 1.0,
         "wrong_allowed": 1.0,
     }
     for capacity in _CAPACITIES:
         state = tracked.empty_lanes()
         for name, value in settings.items():
             state[name] = value
-        state["blank"]["number"], state["blank"]["steady"], state["blank"]["trips"] = -1, -1, np.inf
-        for name in ("lost", "ended", "parted", "duration", "grazed"):
-            state["blank"][name] = np.nan
-        state["lane"] = state["blank"]
+        state["lane"]["number"] = -1  # lanes without a row
+        state["lane"]["trips"] = np.inf
         state["capacity"] = capacity
         # how many steps are read again: all that there is room for, or the last one alone
         state["ring"] = capacity if wanted & tracked.WHOLE_PATH or echoing else 1
@@ -361,33 +362,38 @@ def integrate(
     quantities: Collection[str] | None = None,
 ) -> Scaled:
     """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
-    whole = Scaled(
-        answers=empty_answers(len(scene)),
-        status=scene.status.copy(),
-        steps=np.zeros(len(scene), dtype=np.int64),
+    n = len(scene)
+    found = Scaled(
+        answers=empty_answers(n), status=scene.status.copy(), steps=np.zeros(n, dtype=np.int64)
     )
-    rows = np.flatnonzero(whole.status == 0)
+    rows = np.flatnonzero(found.status == 0)
     if len(rows) == 0:
-        return whole
-    wanted, arguments = wishes(quantities, scene.demands), scaled_arguments(scene, rows)
+        return found
+    wanted, mode = wishes(quantities, scene.demands), MODES[fidelity]
+    arguments = scaled_arguments(scene, rows)
 
     def run(block: slice) -> None:
-        part = look_closer(
-            {name: column[block] for name, column in arguments.items()},
-            MODES[fidelity],
-            tolerance,
-            wanted=wanted,
-            stop_at_loss=not scene.whole_record,
-        )
         here = rows[block]
-        whole.answers[here], whole.status[here] = part.answers, part.status
-        whole.steps[here] = part.steps
+        given = {name: column[block] for name, column in arguments.items()}
+        part = look_closer(
+            given, mode, tolerance, wanted=wanted, stop_at_loss=not scene.whole_record
+        )
+        found.answers[here], found.status[here], found.steps[here] = (
+            part.answers,
+            part.status,
+            part.steps,
+        )
 
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(rows), _BLOCK)]
-    run(slice(0, 0))  # compile, or load, once before the threads ask for it
-    with ThreadPoolExecutor(min(thread_count(threads), len(blocks))) as pool:
-        list(pool.map(run, blocks))
-    return whole
+    workers = min(thread_count(threads), len(blocks))
+    if workers == 1:
+        for block in blocks:
+            run(block)
+    else:
+        run(slice(0, 0))  # compile, or load, once before the threads ask for it
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run, blocks))
+    return found
 
 
 def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float = 1e-6) -> Motion:
@@ -399,11 +405,12 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     _check_request(scene, fidelity, tolerance)
     status = int(scene.status[row])
     if status == 0:
-        whole = replace(scene, whole_record=True)
-        course = motions(whole, np.array([row]), fidelity=fidelity, tolerance=tolerance)[0]
-        if isinstance(course, Motion):
-            return course
-        status = course
+        found = motions(
+            scene, np.array([row]), fidelity=fidelity, tolerance=tolerance, stop_at_loss=False
+        )[0]
+        if isinstance(found, Motion):
+            return found
+        status = found
     raise ValueError(f"row {row} has no motion: {STATUS[status]}")
 
 
@@ -414,43 +421,49 @@ def motions(
     fidelity: str = "full",
     tolerance: float = 1e-6,
     threads: int | None = None,
+    stop_at_loss: bool | None = None,
     quantities: Collection[str] | None = None,
 ) -> list[Motion | int]:
     """The motions of some rows inside the domain, or the status of those that cannot be integrated.
 
-    They end with the record of the scene, or once none of the `quantities` can change any more.
+    They end with the record of the scene, or once none of the `quantities` can change any more;
+    stop_at_loss: whether at the first loss of contact, in place of what the scene says.
     """
+    stop_at_loss = not scene.whole_record if stop_at_loss is None else stop_at_loss
     arguments = scaled_arguments(scene, rows)
-    wanted = wishes(quantities, scene.demands) | WANT_MOTION
+    wanted = wishes(quantities, scene.demands) | tracked.WANT_MOTION
 
     def of(block: slice) -> list[Motion | int]:
-        marched = march_rows(
-            {name: column[block] for name, column in arguments.items()},
-            MODES[fidelity],
-            tolerance,
-            wanted=wanted,
-            stop_at_loss=not scene.whole_record,
+        given = {name: column[block] for name, column in arguments.items()}
+        found = march_rows(
+            given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss
         )
-        courses: list[Motion | int] = marched.status.tolist()
-        for k, (start, length, states) in enumerate(marched.paths):
-            if courses[k] == tracked.OK:
-                courses[k] = Motion(
-                    scene=scene,
-                    row=int(rows[block][k]),
-                    start=start,
-                    length=length,
-                    states=states[:, :3],
-                    forces=states[:, 3:] if arguments["laws"].shape[1] else None,
-                    end=float(marched.answers[k, tracked.ANSWER_END]),
-                    fidelity=fidelity,
-                )
-        return courses
+        own, ends = given["laws"].shape[1] > 0, found.answers[:, tracked.ANSWER_END].tolist()
+        return [
+            Motion(
+                scene=scene,
+                row=row,
+                start=start,
+                length=length,
+                states=states[:, :3],
+                forces=states[:, 3:] if own else None,
+                end=end,
+                fidelity=fidelity,
+            )
+            if status == 0
+            else status
+            for row, end, status, (start, length, states) in zip(
+                rows[block].tolist(), ends, found.status.tolist(), found.paths, strict=True
+            )
+        ]
 
     # a call keeps room for all steps of its rows, which fill the lanes of the kernel
     blocks = [slice(begin, begin + tracked.LANES) for begin in range(0, len(rows), tracked.LANES)]
     workers = min(thread_count(threads), len(blocks))
-    with ThreadPoolExecutor(max(workers, 1)) as pool:
-        return [course for courses in pool.map(of, blocks) for course in courses]
+    if workers <= 1:
+        return [motion for block in blocks for motion in of(block)]
+    with ThreadPoolExecutor(workers) as pool:
+        return [motion for found in pool.map(of, blocks) for motion in found]
 
 
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
@@ -499,7 +512,7 @@ def solve(
         scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
     )
 
-    columns = {name: found.answers[:, k] for k, name in enumerate(tracked.SCALED)}
+    columns = {name: found.answers[:, column] for name, (column, _) in tracked.SCALED.items()}
     return answers_from(
         scene,
         columns,
@@ -547,15 +560,15 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
-#: answers of long rows that are compared at two tolerances; what is not wanted is NaN in both
-_COMPARED = [
-    tracked.ANSWER_FACES,
-    tracked.ANSWER_FACES + 1,
-    tracked.ANSWER_DIFFERENCE,
-    tracked.ANSWER_ENERGY,
-    tracked.ANSWER_MEAN,
-    tracked.ANSWER_DURATION,
-]
+#: answers of long rows that are compared at two tolerances, and what has to be wanted for them
+_COMPARED = (
+    (tracked.ANSWER_FACES, 0),
+    (tracked.ANSWER_FACES + 1, 0),
+    (tracked.ANSWER_DIFFERENCE, tracked.WANT_DIFFERENCE),
+    (tracked.ANSWER_ENERGY, tracked.WANT_ENERGY),
+    (tracked.ANSWER_MEAN, tracked.WANT_MEAN),
+    (tracked.ANSWER_DURATION, tracked.WANT_DURATION),
+)
 
 
 def look_closer(
@@ -569,55 +582,67 @@ def look_closer(
     """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse
     than `tolerance`.
 
-    ANSWER_GRAZED is then above 0 where a doubt is left: 1 where an error of the approach may decide
-    whether contact is lost, or move the first loss by more than `_FIRM` tolerances, and where a
-    duration that counts contacts behind the first loss differs by as much from that at a hundredth
-    of the tolerance; 2 where any answer of a row of many steps still differs by as much between the
-    two finest tolerances that it has room for.
+    ANSWER_GRAZED is then above 0 where the finest tolerance still leaves a doubt: 1 where an error
+    of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
+    tolerances, and where a duration that counts contacts behind the first loss differs by as much
+    from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
+    differs by as much between the two finest tolerances that it has room for.
     """
-    two_bars = arguments["poles"].shape[1] == 0
-    timed = wanted & (TO_THE_END if stop_at_loss and two_bars else WANT_CONTACT)
-
-    def in_doubt(answers: Array, factor: float) -> Flags:
-        lost = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT])
-        moved = np.fmax(
-            lost - answers[:, tracked.ANSWER_GRAZED], factor * answers[:, tracked.ANSWER_BLUR]
-        )
-        return np.asarray((timed != 0) & (moved > _FIRM * tolerance * lost))
-
-    def march(rows: Places, at: float) -> Scaled:
-        return march_rows(
-            {name: column[rows] for name, column in arguments.items()},
-            mode,
-            at,
-            wanted=wanted,
-            requested=tolerance,
-            stop_at_loss=stop_at_loss,
-        )
-
-    found = march(np.arange(len(arguments["mass"])), tolerance)
-    answers, steps, ended = found.answers, found.steps, found.status == tracked.OK
+    n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["poles"].shape[1] == 0
+    timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
+    found = march_rows(
+        arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
+    )
+    answers, status, steps = found.answers, found.status, found.steps
+    closest, doubt, strict = (
+        np.full(n, tolerance),
+        np.zeros(n, dtype=bool),
+        wanted & tracked.WANT_CONTACT != 0,
+    )
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
-    summed = wanted & ~(WANT_DURATION | WANT_MEAN) != 0
-    many = ended & (steps > _MANY_STEPS) & (echoing | summed)
-    # rows whose duration counts contacts behind their first loss
-    counted = answers[:, tracked.ANSWER_COUNTED] > answers[:, tracked.ANSWER_CONTACT]
-    counted &= ended & (answers[:, tracked.ANSWER_CONTACT_CENSORED] == 0.0)
-    counted &= bool(two_bars and wanted & WANT_DURATION)
-    doubt = ended & in_doubt(answers, _FIRST_LOOK if wanted & WANT_CONTACT else 1.0)
-    unsettled, again = many.copy(), many | doubt | counted
-    at = tolerance
-    while again.any() and at > _FINEST:
-        rows, at = np.flatnonzero(again), max(_CLOSER * at, _FINEST)
-        look = march(rows, at)
-        # one that has no room for so many steps keeps the answers that it has
-        done = look.status == tracked.OK
-        moved_by = np.abs(look.answers - answers[rows])
-        differs = ~done[:, None] | (moved_by > _FIRM * tolerance * np.abs(look.answers))
-        unsettled[rows] = many[rows] & differs[:, _COMPARED].any(axis=1)
-        counted[rows] &= differs[:, tracked.ANSWER_DURATION]
-        answers[rows[done]], steps[rows[done]] = look.answers[done], look.steps[done]
-        doubt[rows] = in_doubt(answers[rows], 1.0)
-        again[rows] = done & (unsettled | doubt)[rows]
+    summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
+    many = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
+    unsettled = many.copy()
+    counted, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
+        counted = (status == tracked.OK) & _counts_on(answers)
+    columns = [column for column, wish in _COMPARED if not wish or wanted & wish]
+    while True:
+        if timed:
+            lost, grazed = (
+                np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]),
+                answers[:, tracked.ANSWER_GRAZED],
+            )
+            blur = answers[:, tracked.ANSWER_BLUR] * np.where(
+                (closest == tolerance) & strict, _FIRST_LOOK, 1.0
+            )
+            moved = np.fmax(lost - grazed, blur)
+            doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
+        again = (unsettled | doubt | (counted & ~compared)) & (closest > _FINEST)
+        if not again.any():
+            break
+        for each in np.unique(closest[again]):
+            picked, closer = np.flatnonzero(again & (closest == each)), max(_CLOSER * each, _FINEST)
+            some = {name: column[picked] for name, column in arguments.items()}
+            look = march_rows(
+                some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
+            )
+            closest[picked] = closer
+            # one that has no room for so many steps keeps the answers that it has
+            done = look.status == tracked.OK
+            moved_by = np.abs(look.answers - answers[picked])
+            differs = moved_by > _FIRM * tolerance * np.abs(look.answers)
+            compared[picked] = True
+            unsettled[picked] = many[picked] & (~done | differs[:, columns].any(axis=1))
+            counted[picked] &= ~done | differs[:, tracked.ANSWER_DURATION]
+            answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
+            closest[picked[~done]] = _FINEST
     answers[:, tracked.ANSWER_GRAZED] = np.where(unsettled, 2.0, doubt | counted)
-    return found
+    return replace(found, answers=answers)
+
+
+def _counts_on(answers: Array) -> Flags:
+    """Rows whose duration counts contacts behind their first loss."""
+    lost = answers[:, tracked.ANSWER_CONTACT_CENSORED] == 0.0
+    behind = answers[:, tracked.ANSWER_COUNTED] > answers[:, tracked.ANSWER_CONTACT]
+    return np.asarray(lost & behind)

@@ -3,9 +3,9 @@
 A new answer of a row needs
 
     here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`;
-              an `ANSWER_` (and the length of their range); a name in `SCALED`; if it costs time
-              a bit `WANT_` (and the length of theirs, and `WANT_ALL`), and an entry of `WISHES`
-    records   its answer in `finish`; for a largest value
+              an `ANSWER_` (and the length of their range); an entry of `SCALED`; if it costs time
+              a bit `WANT_` (and the length of theirs, and `WANT_ALL`)
+    records   its start in `begin`, its answer in `finish`; for a largest value `_ANSWER_OF`, and
               `no_later_peak`, by which a record ends once it cannot grow
     events    what follows it in `after_step`; for a largest value of both faces `_both`,
               `_may_grow` and `OF_BOTH`
@@ -80,15 +80,17 @@ TO_THE_END = WANT_DURATION | WANT_CONTACT
 # largest values of a row so far: of each face's approach (of both where faces are alike), of the
 # difference of the forces, of the stored energy, of the sphere's share of it and of the mean force
 FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
-# answers of a row, scaled: of faces A and B each the largest approach, that before the first echo,
-# the force of the other face at the peak of this one, the integral of its squared force; the
-# largest values of both, as above; last parting; speeds of sphere, A and B at the end; how often a
-# face that yields was unloaded, and how often contact was regained before the largest approach;
-# impulse over peak of the mean force; how far an error moves the first loss, and until when the
-# impulse counts
+# answers of a row, scaled: approach, force difference, energy, times; of faces A and B each:
+# largest approach, that before the first echo, force of the other face at the peak of this one,
+# integral of its squared force; largest mean force and sphere's share of the stored energy; last
+# parting; speeds of sphere, A and B at the end; how often a face that yields was unloaded, and how
+# often contact was regained before the largest approach; impulse over peak of the mean force; time
+# up to which that impulse counts
 (
     ANSWER_X_MAX,
     ANSWER_X_FIRST,
+    ANSWER_DIFFERENCE,
+    ANSWER_ENERGY,
     ANSWER_CONTACT,
     ANSWER_CONTACT_CENSORED,
     ANSWER_RISE,
@@ -102,10 +104,8 @@ FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
     _,
     ANSWER_CARRIED,
     _,
-    ANSWER_DIFFERENCE,
-    ANSWER_ENERGY,
-    ANSWER_SHARE,
     ANSWER_MEAN,
+    ANSWER_SHARE,
     ANSWER_PARTING,
     ANSWER_SPEED,
     ANSWER_SPEEDS,
@@ -117,48 +117,34 @@ FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
     ANSWER_COUNTED,
     ANSWERS,
 ) = range(29)
-#: the names by which formulas of quantities read them, in this order
-SCALED = (
-    "x_max",
-    "x_first",
-    "contact",
-    "contact_censored",
-    "rise",
-    "ended",
-    "grazed",
-    "x_a",
-    "x_b",
-    "x_first_a",
-    "x_first_b",
-    "force_b_at_a",
-    "force_a_at_b",
-    "carried_a",
-    "carried_b",
-    "difference",
-    "stored",
-    "stored_sphere",
-    "mean_force",
-    "parting",
-    "end_speed",
-    "end_speed_a",
-    "end_speed_b",
-    "unloadings",
-    "touches",
-    "duration",
-)
-#: what has to be wanted for some of them
-WISHES = {
-    "difference": WANT_DIFFERENCE,
-    "stored": WANT_ENERGY,
-    "stored_sphere": WANT_SHARE,
-    "mean_force": WANT_MEAN,
-    "contact": WANT_CONTACT,
-    "contact_censored": WANT_CONTACT,
-    "parting": WANT_CONTACT,
-    "duration": WANT_DURATION | WANT_MEAN,
-    "rise": WANT_RISE,
-    "carried_a": WANT_CARRIED,
-    "carried_b": WANT_CARRIED,
+#: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be
+#: wanted for it
+SCALED = {
+    "x_max": (ANSWER_X_MAX, 0),
+    "x_first": (ANSWER_X_FIRST, 0),
+    "difference": (ANSWER_DIFFERENCE, WANT_DIFFERENCE),
+    "stored": (ANSWER_ENERGY, WANT_ENERGY),
+    "contact": (ANSWER_CONTACT, WANT_CONTACT),
+    "contact_censored": (ANSWER_CONTACT_CENSORED, WANT_CONTACT),
+    "rise": (ANSWER_RISE, WANT_RISE),
+    "ended": (ANSWER_END, 0),
+    "x_a": (ANSWER_FACES, 0),
+    "x_b": (ANSWER_FACES + 1, 0),
+    "x_first_a": (ANSWER_FIRSTS, 0),
+    "x_first_b": (ANSWER_FIRSTS + 1, 0),
+    "force_b_at_a": (ANSWER_OTHERS, 0),
+    "force_a_at_b": (ANSWER_OTHERS + 1, 0),
+    "carried_a": (ANSWER_CARRIED, WANT_CARRIED),
+    "carried_b": (ANSWER_CARRIED + 1, WANT_CARRIED),
+    "mean_force": (ANSWER_MEAN, WANT_MEAN),
+    "stored_sphere": (ANSWER_SHARE, WANT_SHARE),
+    "parting": (ANSWER_PARTING, WANT_CONTACT),
+    "end_speed": (ANSWER_SPEED, 0),
+    "end_speed_a": (ANSWER_SPEEDS, 0),
+    "end_speed_b": (ANSWER_SPEEDS + 1, 0),
+    "touches": (ANSWER_TOUCHES, 0),
+    "duration": (ANSWER_DURATION, WANT_DURATION | WANT_MEAN),
+    "grazed": (ANSWER_GRAZED, 0),
 }
 
 # law of a face of its own, for both faces of a row (`faces`): onset x_y, softening b, pile-up C,
@@ -203,7 +189,7 @@ LANE = np.dtype(
         ("place_in_order", "i8"),  # its place among the rows asked for; march
         ("count", "i8"),  # steps taken; keep
         ("attempts", "i8"),  # steps tried again; holds
-        ("fate", "i8"),  # status it leaves with, or -1; enter, holds, turn, judge, cross_jump
+        ("fate", "i8"),  # status it leaves with, or -1; enter, holds, turn, judge, jump
         ("mass", "f8"),  # mu; enter
         ("quickest", "f8"),  # how quickly the lightest body answers a force; enter
         ("end", "f8"),  # t_c; end of the record at the latest; enter
@@ -213,20 +199,20 @@ LANE = np.dtype(
         ("trips", "f8", 2),  # t_c; round trips, inf without echo; enter
         # the step
         ("time", "f8"),  # t_c; where it starts; turn
-        ("proposed", "f8"),  # t_c; what to try next; enter, try_step, holds, turn
-        ("stop", "f8"),  # t_c; next jump of the waves, or the end; enter, cross_jump
+        ("proposed", "f8"),  # t_c; what to try next; enter, try_step, holds, turn, jump
+        ("stop", "f8"),  # t_c; next jump of the waves, or the end; enter, jump
         ("touching", "i8"),  # 1 where it starts from a touch; enter, move_on
         ("single", "i8"),  # 1: an echo is read from one step; enter, holds, move_on
         ("why", "i8"),  # what ends it, see End; choose, after_step
         ("side", "i8"),  # at which face; after_step
         ("switched", "i8"),  # bits: faces on the wrong branch; choose
         # the waves
-        ("frequency", "f8"),  # 1/t_c; of a half sine, 0 for a cubic piece; cross_jump
-        ("offset", "f8"),  # t_c; where the piece of the pulse begins; cross_jump
-        ("cubic", "f8", 4),  # coefficients of the piece in powers of t; cross_jump
-        ("steady", "f8"),  # what runs in for ever, -1 while it may change; enter, cross_jump
-        ("head", "i8", 2),  # number in `queue` of the next jump of a bar; cross_jump
-        ("tail", "i8", 2),  # behind that of the last one; cross_jump
+        ("frequency", "f8"),  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
+        ("offset", "f8"),  # t_c; where the piece of the pulse begins; enter_piece
+        ("cubic", "f8", 4),  # coefficients of the piece in powers of t; enter_piece
+        ("steady", "f8"),  # what runs in for ever, -1 while it may change; enter, jump
+        ("head", "i8", 2),  # number in `queue` of the next jump of a bar; next_break
+        ("tail", "i8", 2),  # behind that of the last one; reflect_break
         ("first", "i8", 2),  # first step an echo is read from, -1: none; echo_steps
         ("last", "i8", 2),  # last one; echo_steps
         # the faces: law, branch, and what stands at the pole
@@ -260,23 +246,16 @@ _LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
 STATE = np.dtype(
     [
         ("lane", LANE, LANES),  # what goes lane by lane
-        ("blank", LANE),  # a lane of which nothing is known yet; march_rows
         # the row
         ("inverse_mu", "f8", _LANE),  # 1/mu, 0 without mass; enter
         # the step
         ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echo
         ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
-        ("error", "f8", _LANE),  # error allowed in one step; enter, keep, move_on
-        ("scale_x", "f8", _FACE),  # scale of an approach; enter, move_on
-        ("scale_u", "f8", _LANE),  # of the sphere's speed; enter, move_on
-        ("scale_free", "f8", _FACE),  # of U_A, U_B; enter, move_on
-        ("before", "f8", _FACE),  # last term of a series but one, over its scale; reach
-        ("last", "f8", _FACE),  # the last one; reach
-        ("late", "f8", _FACE),  # the larger one of an approach; reach
-        ("circle", "f8", _FACE),  # share of the step inside the circle of convergence; reach
+        ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep, move_on
+        ("size", "f8", (5, LANES)),  # scales of x_1, u, x_2, U_A, U_B; enter, move_on
         ("wrong_allowed", "f8", _LANE),  # impulse by which a root may be off; try_step, choose
         # the waves
-        ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; cross_jump
+        ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
         ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echo
         ("returns", "f8", _FACE),  # factor of it, twice R, 0 without echo; read_echo
         ("negligible", "f8", _FACE),  # terms of it that may be left out; read_echo
@@ -290,9 +269,9 @@ STATE = np.dtype(
         ("chi", "f8", _FACE),  # share of the sphere in the stored energy; new_faces
         ("unit_force", "f8", _FACE),  # force at the onset; new_faces
         ("spring", "f8", _FACE),  # factor of x^(3/2) above the dent, 0 on virgin loading; switch
-        ("dent", "f8", _FACE),  # x_r; switch
-        ("largest", "f8", _FACE),  # x_m, deepest so far or the onset; switch, move_on
-        ("peak_force", "f8", _FACE),  # force there; switch
+        ("dent", "f8", _FACE),  # x_r; let_go
+        ("largest", "f8", _FACE),  # x_m, deepest so far or the onset; let_go, press_deeper
+        ("peak_force", "f8", _FACE),  # force there; let_go
         ("hertz", "f8", _FACE),  # force = hertz x y + by_x x + by_root y + by_log l + constant,
         ("by_x", "f8", _FACE),  # y = sqrt(x + shift), l = ln(y + base); switch
         ("by_root", "f8", _FACE),
