@@ -393,7 +393,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
                 low = 0.0
                 high = 1.0
             median = float(expanded[row, j])
-            best = median + float(_significant(value + likely - median, noise[row, j], n))
+            correction = np.array(value + likely - median)
+            best = median + float(_significant(correction, noise[row, j], n))
             best = min(max(best, low), high)
             estimate = bounded(best, low, high, 0.25 * (high - low), method, n)
             orders[("first", "total")[row]].append(replace(estimate, reason=unbounded or None))
@@ -401,14 +402,14 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         # no less than the first index, and at most what the others leave; in between the median of
         # the expansions, which contradict each other
         lows = [each.low or 0.0 for each in orders["first"]]
-        median = np.full(d, math.nan)
+        medians = np.full(d, math.nan)
         if response.error < 1.0:
-            median = np.median([moments.total for moments in response.integrals], axis=0)
+            medians = np.median([moments.total for moments in response.integrals], axis=0)
         for j, low in enumerate(lows):
             high = min(max(1.0 - (sum(lows) - low), low), 1.0)
             bounds = replace(absent("bounded by the first indices", method, n), low=low, high=high)
-            if math.isfinite(median[j]):
-                value = min(max(float(median[j]), low), high)
+            if math.isfinite(medians[j]):
+                value = min(max(float(medians[j]), low), high)
                 bounds = replace(bounds, value=value, std_error=0.25 * (high - low))
             orders["total"][j] = bounds
     return orders
