@@ -71,7 +71,7 @@ def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[],
     """
 
     def answered(points: Sample) -> Sample:
-        return evaluate(design, model, points)
+        return evaluate(design, model, points, part=True)
 
     required = design.study.analysis.accuracy
     by_name = "probability" in required.model_fields_set or bool(tables.stopped)
