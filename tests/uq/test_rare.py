@@ -12,6 +12,7 @@ from scipy.special import ndtr
 from scipy.stats import ncx2
 
 from tests.campaigns.rare import PROBLEMS, problem
+from uqsphere.uq import rare
 from uqsphere.uq.law import make_law
 from uqsphere.uq.rare import REACH, Evaluator, failure_probability, find_design_points
 
@@ -33,6 +34,22 @@ def test_public_problems_within_four_percent_and_their_interval(name: str) -> No
     assert found.estimate.value == pytest.approx(
         entry.reference, rel=max(0.02, 4.0 * found.estimate.std_error / found.estimate.value)
     )
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_a_look_by_known_draws_that_fails_leaves_a_search_with_the_rest(
+    monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    """The search planned with all of the budget, and ended in an error of its own."""
+
+    def spends(evaluator: Evaluator, draws: object, accuracy: float) -> None:
+        evaluator.answers(np.zeros((int(share * evaluator.budget), evaluator.dimension)))
+
+    monkeypatch.setattr(rare, "nearby", spends)
+    evaluator = Evaluator(lambda u: 3.5 - u[:, 0], 2, budget=20_000, seed=3)
+    found = failure_probability(evaluator, known=[None])  # type: ignore[list-item]
+    assert found.estimate.evaluations <= 20_000
+    assert holds(found.estimate, float(ndtr(-3.5)))
 
 
 def test_an_integrated_strength_is_smooth_in_the_inputs() -> None:

@@ -114,8 +114,15 @@ def failure_probability(
     >>> answer.estimate.low < 6.334248e-05 < answer.estimate.high
     True
     """
-    budget = evaluator.budget
     d = evaluator.dimension
+    near = None
+    if known and evaluator.budget >= FEW:
+        near = nearby(evaluator, known, accuracy)
+    if near is not None:
+        points = find_design_points(evaluator, most=0.06 * evaluator.budget)
+        estimate = replace(near.estimate, evaluations=evaluator.count)
+        return RareAnswer(estimate, "", points, near.draws, searched=False)
+    budget = evaluator.left
     if budget < FEW:
         few = by_kriging(evaluator, failure_probability, accuracy)
         if few is None:
@@ -125,11 +132,6 @@ def failure_probability(
             f"probability is below {few.high_unseen:.2g}"
         )
         return RareAnswer(few, warning)
-    near = nearby(evaluator, known, accuracy) if known else None
-    if near is not None:
-        points = find_design_points(evaluator, most=0.06 * budget)
-        estimate = replace(near.estimate, evaluations=evaluator.count)
-        return RareAnswer(estimate, "", points, near.draws, searched=False)
     count = int(DEFENSIVE * budget)
     plain = draw(evaluator, standard_normal(d), count, "defensive share")
     pool = [plain]

@@ -388,8 +388,8 @@ def nearby(
     evaluator: Evaluator, draws: Sequence[Draws], accuracy: float
 ) -> ImportanceAnswer | None:
     """Probability of a failure domain inside another one, by the draws of a search for that and
-    others nearby: weighted anew, else from a mixture that is fitted to them; None where the first
-    of the draws have too few failures here."""
+    others nearby: weighted anew, else from a mixture that is fitted to them, by half of what may be
+    spent; None where the first of the draws have too few failures here."""
     reweighed = weigh(evaluator, draws)
     before = reweighed.estimate
     if before.value is None or carriers(failures(evaluator, draws[:1])[1]) < CARRIERS:
@@ -397,7 +397,10 @@ def nearby(
     if reweighed.trusted and before.half_width <= accuracy * before.value:
         return reweighed
     refitted = fitted(draws[0].mixture, *failures(evaluator, draws))
-    anew = importance_sampling(evaluator, defended(refitted), accuracy)
+    half = replace(evaluator, budget=0.5 * evaluator.left)
+    anew = importance_sampling(half, defended(refitted), accuracy)
+    evaluator.count += half.count
+    evaluator.failed += half.failed
     now = anew.estimate
     apart = (now.low or 0.0) > (before.high or 1.0) or (before.low or 0.0) > (now.high or 1.0)
     if apart or not anew.trusted:
