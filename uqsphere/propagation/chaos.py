@@ -217,8 +217,10 @@ def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
     squares = (beyond - moments.mean) ** 2 - (at_last - moments.mean) ** 2
     made = np.abs(squares).mean(axis=1) * np.array(chances)
     moves = ((before - at_last) ** 2).mean(axis=1)
-    doubt = np.sqrt(np.array(errors) / np.maximum(moves, 1e-300))
-    return float(made @ np.minimum(2.0 * doubt + doubt**2, 1.0)) / moments.sd**2
+    with np.errstate(over="ignore"):  # an expansion that does not move has nothing beyond either
+        doubt = np.sqrt(np.array(errors) / np.maximum(moves, 1e-300))
+        wrong = np.minimum(2.0 * doubt + doubt**2, 1.0)
+    return float(made @ wrong) / moments.sd**2
 
 
 def _left(outputs: Array, values: Array) -> float:
