@@ -21,7 +21,7 @@ from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.demands import demands_of, number_of_tests, strength_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.distributions import density
+from uqsphere.propagation.distributions import density, described
 from uqsphere.propagation.failure_modes import breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
@@ -175,9 +175,16 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
     source = source_of(design, tables)
     values = source.values(name)
     finite = values[np.isfinite(values)]
-    low = median = high = math.nan
+    places = [0.05, 0.5, 0.95]
+    ends = [math.nan] * len(places)
     if finite.size:
-        low, median, high = np.quantile(finite, [0.05, 0.5, 0.95]).tolist()
+        ends = np.quantile(finite, places).tolist()
+    answers = described(design, tables, name).quantiles
+    for place, p in enumerate(places):
+        answer = answers[p].value if p in answers else None
+        if answer is not None:
+            ends[place] = answer
+    low, median, high = ends
     left = pairs = None
     slow = tables.surrogate
     if name in tables.expansions:
