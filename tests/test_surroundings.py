@@ -235,6 +235,8 @@ def test_surroundings(tmp_path: Path, name: str, finished: Path) -> None:
         (2, 201, "x['a']", 2, "at most 200"),
         (2, 1, "1e308 + 0 * x['a']", 4, r"y = 1e\+308, too large"),
         (2, 1, "1e308 * x['a']", 4, r"y = -?\d.*, too large"),
+        (2, 1, "1e76 * x['a']", 4, r"y = -?\d.*e\+7\d, too large"),
+        (2, 1, "1e-300 * x['a']", 2, r"y is at most [34]\S*e-300 in \d+ rows, too small"),
         (2, 1, "5e-324 + 0 * x['a']", 0, "e-324"),
         (2, 1, "-0.0 * x['a']", 0, "below"),
         (2, 1, "x['a'] > 0", 0, "below"),

@@ -391,6 +391,19 @@ def test_rows_of_a_fold_that_is_held_stay() -> None:
     assert sd.half_width < 1.5
 
 
+@pytest.mark.parametrize("count", [16, 128])
+@pytest.mark.parametrize("power", [3, 4])
+def test_expansions_without_a_finite_variance_are_held(count: int, power: int) -> None:
+    # their variances were infinite, and the median of infinite ones no number
+    z = ndtri(sobol_points(dimension=2, count=count, seed=0, task="runs away"))
+    outputs = np.exp(z[:, 0] ** power)
+    (response,) = cross_fit(z, outputs, ("normal", "normal"))
+    assert np.isfinite(response.levels).all()
+    assert response.error == 1.0
+    for shares in indices_of(response).values():
+        assert all(0.0 <= share.low <= share.high <= 1.0 for share in shares)
+
+
 def test_the_mean_of_an_exact_expansion_is_that_of_its_terms() -> None:
     # by the points of the table 4.0892 to 4.0898 was stated for 4.0900
     mean = corrected(zoo_response("gears", 64, 2), 2).mean()

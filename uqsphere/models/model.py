@@ -24,6 +24,7 @@ from uqsphere.models.scene import evaluate_scene
 from uqsphere.models.workers import Workers
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
+from uqsphere.uq.rows import LARGEST
 
 #: seconds of work that are worth starting processes for
 _WORTH = 2.0
@@ -32,8 +33,6 @@ _WORTH = 2.0
 _QUICK = 1e-4
 #: relative difference at which half of the digits of a double agree
 _HALF_OF_THE_DIGITS = float(np.sqrt(np.finfo(float).eps))
-#: a larger answer has failed: the squares of a few are no numbers
-_LARGEST_ANSWER = 1e150
 
 
 @dataclass(eq=False)
@@ -247,7 +246,7 @@ class Model:
         whole[:, [self.inputs.index(name) for name in names]] = rows
         answers, failures, together = answer_rows(self, whole, cache)
         values = answers[:, [self.outputs.index(name) for name in columns]]
-        usable = np.abs(values) <= _LARGEST_ANSWER
+        usable = np.abs(values) <= LARGEST
         failed = ~usable.all(axis=1)
         note = ""
         if failed.any():

@@ -174,11 +174,13 @@ def _explained(points: Array, residuals: Array) -> Array:
 
 def _runs_away(expansion: Expansion) -> bool:
     """Whether the rows contradict the variance of an expansion, which it makes where none lies."""
-    squares = ((expansion.values - expansion.integrals.mean) ** 2).mean(axis=1)
+    moments = expansion.integrals
+    if not moments.sd > 0.0:
+        return False
+    # over the variance of the expansion
+    squares = (((expansion.values - moments.mean) / moments.sd) ** 2).mean(axis=1)
     room = float(stdtrit(len(squares) - 1, 0.5 + 0.5 * REJECTED)) * spread(squares)
-    integration = 1e-9 + 4.0 * expansion.integrals.error
-    variance = expansion.integrals.sd * expansion.integrals.sd
-    return bool(abs(variance - squares.mean()) > room + integration * variance)
+    return bool(abs(1.0 - squares.mean()) > room + 1e-9 + 4.0 * moments.error)
 
 
 def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
@@ -225,9 +227,13 @@ def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
 
 def _left(outputs: Array, values: Array) -> float:
     """Share of the variance of the last R - 1 replicates of outputs (R, n) that values (R-1, n)
-    leave.
+    leave; infinite for an expansion that runs away.
     """
-    return float((outputs[1:] - values).var() / outputs[1:].var())
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = float((outputs[1:] - values).var() / outputs[1:].var())
+    if math.isnan(left):
+        return math.inf
+    return left
 
 
 def points_of(design: Design, normals: Array) -> Array:

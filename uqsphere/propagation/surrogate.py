@@ -28,7 +28,7 @@ from uqsphere.propagation.grow import accuracies, first_rows
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.progress import Progress
 from uqsphere.propagation.slow import Slow
-from uqsphere.propagation.tables import Tables, check_failures, evaluate
+from uqsphere.propagation.tables import Tables, check_failures, check_sizes, evaluate
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
 from uqsphere.uq.estimate import REPLICATES
@@ -218,6 +218,7 @@ def _evaluated(
     if done < LEAST_ROWS:
         raise KeyboardInterrupt  # the user has stopped
     rows = parts[0].join(*parts[1:])
+    check_sizes(design, rows.answers)
     check_failures(design, rows.status[0], f"{int(rows.failed.sum())} of {done} rows")
     return rows, stopped
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.errors import TooManyFailures
+from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
 from uqsphere.propagation.chaos import Expansion
@@ -21,6 +21,7 @@ from uqsphere.quantities import format_probability
 from uqsphere.results.types import Stop
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.describe import Description
+from uqsphere.uq.rows import too_small
 
 
 class Accuracy(NamedTuple):
@@ -159,9 +160,24 @@ def evaluate(
     if not names:
         rows = rows[:1]  # all are the same
     answers = model.evaluate(tuple(names), rows, design.columns)
+    if not part:
+        check_sizes(design, answers.values)
     if not part or design.study.analysis.policy == "abort":
         check_failures(design, answers.status, answers.note)
     return answered(design, points, answers, moving)
+
+
+def check_sizes(design: Design, values: Array) -> None:
+    """Refuse answers (..., q) of a black box that are all so small that their scatter vanishes."""
+    if not design.study.black_box:
+        return
+    columns = np.nan_to_num(values).reshape(-1, len(design.columns)).T
+    for name, column in zip(design.columns, columns, strict=True):
+        if too_small(column):
+            raise UsageError(
+                f"{name} is at most {np.abs(column).max():.3g} in {len(column)} rows, too small: "
+                "give it in another unit"
+            )
 
 
 def check_failures(design: Design, status: Places, note: str) -> None:

@@ -47,6 +47,8 @@ MOST = 0.25
 #: level at which a fold is contradicted, and points of the law at which its variance is looked at
 REJECTED = 0.99
 LOOKED = 1024
+#: variance of a fold without a finite one
+LARGEST = 1e300
 #: share of a variance that expansions of an exact polynomial differ by
 ROUNDING = 1e-9
 
@@ -258,6 +260,7 @@ def _bounded(response: Response) -> Response:
         return response
     with np.errstate(over="ignore"):  # a fold that runs away may have no finite variance
         variances = np.square([moments.sd for moments in response.integrals])
+    variances = np.minimum(variances, LARGEST)
     squares = (y - y.mean()) ** 2
     influence = squares - (response.levels - y.mean()) ** 2
     # folds share most of their rows, so that unlucky rows contradict all of them at once

@@ -311,17 +311,22 @@ def _product(fit: Chaos) -> Integrals:
             scores[:count, j], weights[:count, j] = steps_of(germ.law)
     weights /= weights.sum(axis=0)
     rows = rows_of(fit.germs, germ_points(scores, fit.germs), fit.multi_indices)
-    factors = np.exp((fit.multi_indices > 0).T * fit.coefficients @ rows)
+    exponents = (fit.multi_indices > 0).T * fit.coefficients @ rows
+    # over the largest of each input: a fit that runs away has no finite factors
+    largest = exponents.max(axis=1)
+    factors = np.exp(exponents - largest[:, None])
     means = (factors * weights.T).sum(axis=1)
     # variances of factors of mean 1
     more = ((factors / means[:, None] - 1.0) ** 2 * weights.T).sum(axis=1)
-    whole = math.expm1(float(np.log1p(more).sum()))
-    mean = fit.sign * math.exp(fit.coefficients[0]) * float(np.prod(means))
+    with np.errstate(over="ignore"):
+        whole = np.expm1(np.log1p(more).sum())
+        mean = fit.sign * np.exp(fit.coefficients[0] + (largest + np.log(means)).sum())
+        sd = abs(mean) * np.sqrt(whole)
     return Integrals(
-        mean=mean,
-        sd=abs(mean) * math.sqrt(whole),
+        mean=float(mean),
+        sd=float(sd),
         first=more / whole,
-        total=more / (1.0 + more) * (1.0 + whole) / whole,
+        total=more / (1.0 + more) * (1.0 + 1.0 / whole),
     )
 
 
