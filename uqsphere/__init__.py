@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from uqsphere.exchange import analyse, design, joint, sample, to_salib
     from uqsphere.models.evaluate import evaluate
     from uqsphere.propagation import run
-    from uqsphere.propagation.plan import fragility_curves
+    from uqsphere.propagation.fragility import fragility_curves
     from uqsphere.report.history import history
     from uqsphere.results import Run, open_run
     from uqsphere.study import Study, load_study
@@ -47,7 +47,7 @@ _HOMES = {
     "analyse": "uqsphere.exchange",
     "design": "uqsphere.exchange",
     "evaluate": "uqsphere.models.evaluate",
-    "fragility_curves": "uqsphere.propagation.plan",
+    "fragility_curves": "uqsphere.propagation.fragility",
     "history": "uqsphere.report.history",
     "joint": "uqsphere.exchange",
     "load_study": "uqsphere.study",

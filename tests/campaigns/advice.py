@@ -115,9 +115,7 @@ def _anew(text: str, model: Model, aims: Sequence[Settled], forces: Array) -> li
         aim = aim_of(design, today.aim.word)
         samples = tuple(_held_against(design, today, sample) for sample in today.line.samples)
         line = Line(design=design, values=today.line.values, samples=samples)
-        settled.append(
-            Settling(design=design, model=model, others=alternatives(aim)).once(aim, line)
-        )
+        settled.append(Settling(model=model, others=alternatives(aim)).once(aim, line))
     return settled
 
 

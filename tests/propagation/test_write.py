@@ -35,7 +35,7 @@ def model(x):
 def results(of):
     design, tables = tables_of(of, model)
     cost = Cost(runs=7, reused=3, seconds=1.234)
-    return results_of(design, tables, Answers(), {}, [], cost)
+    return results_of(design, tables, Answers(), [], [], cost)
 
 
 def test_inputs_have_the_numbers_of_their_distributions():

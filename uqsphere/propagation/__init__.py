@@ -8,22 +8,18 @@ analyses functions of the tables, each giving rows of the one long table of answ
 verdict  what the answers mean, and what could turn it
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from uqsphere.errors import UqsphereError, UsageError
+from uqsphere.errors import FolderError, UqsphereError, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
 from uqsphere.propagation import surrogate
-from uqsphere.propagation.chaos import MOST_ROWS
 from uqsphere.propagation.checks import checks
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.distributions import distributions
@@ -39,7 +35,8 @@ from uqsphere.propagation.verdict import assumed_answers, decision_of, judge
 from uqsphere.propagation.write import Cost, results_of, samples_of, written
 from uqsphere.results import Answers, Run
 from uqsphere.results.folder import Log, clear, locked, read_results
-from uqsphere.study import Study, load_study
+from uqsphere.results.run import stored_study
+from uqsphere.study import Study
 
 __all__ = ["run"]
 
@@ -166,7 +163,7 @@ def run(
         answers += assumed_answers(judged)
         method = "half-width over what is required"
         for runs, error in tables.reached:
-            answers.row("run", "error", float(runs), error, unit="1", method=method)
+            answers.row("run", "error", float(runs), error, method=method)
         checked = checks(design, tables, evaluator.notes)
         decisions = [decision_of(aim, checked) for aim in judged]
         took = time.monotonic() - started
@@ -175,66 +172,47 @@ def run(
         cost = Cost(runs=runs, reused=reused, seconds=took)
         results = results_of(design, tables, answers, decisions, checked, cost)
         log.write(f"ended: {tables.stopped} after {took:.1f} s")
-        return written(out, study, results, samples_of(design, tables), _live(design, tables))
+        pairs = partial(_pairs, design, tables)
+        return written(out, study, results, samples_of(design, tables), pairs)
 
 
-def _live(design: Design, tables: Tables) -> dict[str, Any]:
-    """What only this process keeps: expansions and pairs of runs."""
+def _pairs(design: Design, tables: Tables, quantity: str) -> Any:
+    """The runs behind the indices of a quantity as SALib takes them; None without such."""
+    from uqsphere.uq.interop import SalibDesign, salib_problem
 
-    def fit(quantity: str) -> Any:
-        from uqsphere.uq.surrogate import fit_expansion
-
-        sample = tables.rows
-        if quantity not in sample.quantities or not design.inputs or not sample.knows(quantity):
-            return None
-        x = np.stack([sample.input(name)[0, :MOST_ROWS] for name in design.inputs], axis=1)
-        y = sample.answer(quantity)[0, :MOST_ROWS]
-        if not np.ptp(y) > 0.0:
-            return None
-        return fit_expansion(x, y, design.joint_inputs, seed=design.study.seed)
-
-    def pairs(quantity: str) -> Any:
-        from uqsphere.uq.interop import SalibDesign, salib_problem
-
-        outputs = tables.pairs.get(quantity)
-        if outputs is None:
-            return None
-        rows = pair_rows(design, outputs.shape[1])
-        return SalibDesign(
-            problem=salib_problem(design.joint_inputs),
-            rows=rows.reshape(-1, rows.shape[3]),
-            second=design.study.analysis.second_order,
-            outputs=outputs.ravel(),
-        )
-
-    return {"fit": fit, "pairs": pairs}
+    outputs = tables.pairs.get(quantity)
+    if outputs is None:
+        return None
+    rows = pair_rows(design, outputs.shape[1])
+    return SalibDesign(
+        problem=salib_problem(design.joint_inputs),
+        rows=rows.reshape(-1, rows.shape[3]),
+        second=design.study.analysis.second_order,
+        outputs=outputs.ravel(),
+    )
 
 
 def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
     """Refuse a folder of another study, and remove what an earlier run of this one left where it is
     asked.
     """
-    from uqsphere.errors import FolderError
-
     if fresh:
         clear(folder)
         return
     if not (folder / "results.json").exists():
         return
-    stored = read_results(folder).study
+    stored = read_results(folder)
     changed = ""
-    if stored.hash == study.hash:
+    if stored.study.hash == study.hash:
         return
     # what differs is named where the stored study can be read
     with contextlib.suppress(OSError, UqsphereError):
-        text = (folder / "study.toml").read_text(encoding="utf-8")
-        before = load_study(folder / "files" / "study.toml", stored.overrides, text=text)
-        keys = before.changed_keys(study)
-        changed = ", ".join(keys[:SHOWN_CHANGES])
+        keys = stored_study(folder, stored).changed_keys(study)
+        names = ", ".join(keys[:SHOWN_CHANGES])
         if len(keys) > SHOWN_CHANGES:
-            changed += f" and {len(keys) - SHOWN_CHANGES} more"
-    if changed:
-        changed = f" (changed: {changed})"
+            names += f" and {len(keys) - SHOWN_CHANGES} more"
+        if names:
+            changed = f" (changed: {names})"
     raise FolderError(
         f"{folder} holds another study{changed}: choose another folder with --out, or replace it "
         "with --fresh"

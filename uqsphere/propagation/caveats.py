@@ -1,18 +1,15 @@
 """Caveats: what is no number, and holds a verdict at "not established"."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
 from uqsphere.propagation.checks import RANGE, Check, range_checks
 from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
-from uqsphere.results.types import Caveat, CaveatCode
+from uqsphere.results.types import Caveat
 from uqsphere.study import strength_name
 from uqsphere.study.values import FARTHEST_SIZE
 
@@ -32,8 +29,7 @@ def caveats_of(
     for code, path, text in design.study.caveats:
         if code == "rate" and not path.startswith(ours):
             continue
-        literal = next(word for word in get_args(CaveatCode) if word == code)
-        caveats.append(Caveat(code=literal, subject=path, text=text))
+        caveats.append(Caveat.model_validate({"code": code, "subject": path, "text": text}))
     # limits on the same tests rest on one set of synthetic data
     names = [strength_name(group[0].name) for group in settled.aim.groups]
     caveats += [

@@ -2,8 +2,6 @@
 answers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -18,6 +16,7 @@ from uqsphere.quantities import format_probability
 from uqsphere.results.types import CheckEntry, Grade
 from uqsphere.study import Limit
 from uqsphere.uq import Law
+from uqsphere.uq.describe import heavy_tail
 from uqsphere.uq.estimate import count_bound
 
 #: rows that are checked
@@ -51,7 +50,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     sample = tables.sample
     if not design.study.black_box:
         each = max(ROWS // sample.replicates, 1)
-        plan = plan_of(design, sample.head(min(each, sample.count)))
+        plan = plan_of(design, sample.head(each))
         for check in _breaches(plan, design.limits):
             worst = max(check.failures.values(), default=0.0)
             effect = ""
@@ -94,27 +93,26 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
     return [*breached, *_heavy_tails(design, tables)]
 
 
-#: grade from which a check of the contact holds a number; those of faces that yield do so wherever
-#: they are taken for elastic, with no law of their yield
-RANGE = {"small_contact": 3, "deep_dent": 3, "plastic_range": 3}
-_YIELD = {"bar_yield_contact": 2, "sphere_yield_contact": 2, "face_yield": 2}
+#: checks of the contact that hold a number where they fail; those of faces that yield do so from a
+#: warning on wherever they are taken for elastic, with no law of their yield
+RANGE = ("small_contact", "deep_dent", "plastic_range")
+_YIELD = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
 
 
 def range_checks(line: Line, limits: Sequence[Limit]) -> list[Check]:
     """The checks of the contact's range in the rows of a line at one value of the free number, with
     the share of each limit's failures that lie in rows beyond it.
     """
-    holds = dict(RANGE)
+    yields: Sequence[str] = ()
     if line.design.study.options.get("contact.law", "hertz") == "hertz":
-        holds |= _YIELD
-    return [check for check in _breaches(line, limits, holds) if check.name in holds]
+        yields = _YIELD
+    breached = _breaches(line, limits, yields)
+    return [check for check in breached if check.name in (*RANGE, *yields)]
 
 
-def _breaches(
-    line: Line, limits: Sequence[Limit], grade_by_check: Mapping[str, int] | None = None
-) -> list[Check]:
-    """The checks that rows breach, with the share of each limit's failures in rows of a grade, the
-    worst where none is given.
+def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -> list[Check]:
+    """The checks that rows breach, with the share of each limit's failures in rows that fail them;
+    a warning of `yields` is enough.
     """
     design = line.design
     breached = []
@@ -124,7 +122,9 @@ def _breaches(
         state = line.state(current[limit.name])
         weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
     for result in checked_rows(design.judged, *inputs_at(line), design.columns):
-        beyond = result.grades >= (grade_by_check or {}).get(result.check, 3)
+        beyond = result.grades >= 3
+        if result.check in yields:
+            beyond = result.grades >= 2
         if result.grade:
             check = Check(
                 name=result.check,
@@ -185,21 +185,18 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> Iterator[Check]:
 
 
 def _heavy_tails(design: Design, tables: Tables) -> Iterator[Check]:
-    """One warning by Hill's rule: an output whose variance may not exist."""
-    from uqsphere.uq.describe import hill
-
+    """Outputs whose variance may not exist, by Hill's rule."""
     for name in design.described:
         values = tables.sample.outputs(name)
         values = values[np.isfinite(values)]
         if values.size < 1000 or not values.std() > 0.0:
             continue
-        order = hill(values)
-        if order < 2.0:
+        reason = heavy_tail(values)
+        if reason:
             yield Check(
                 name=f"heavy_tail_{name}",
                 share=1.0,
                 grade="warning",
-                text=f"{name} has a tail so heavy that its variance may not exist (Hill index "
-                f"{order:.2g})",
+                text=f"{name}: {reason}",
                 effect="read quantiles; do not use standard deviation and indices",
             )

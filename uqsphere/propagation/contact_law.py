@@ -2,9 +2,7 @@
 that yield.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from uqsphere.errors import StudyError
 from uqsphere.models.scene import evaluate_scene
@@ -15,8 +13,34 @@ from uqsphere.study import load_study
 from uqsphere.uq import Sample
 
 
-def yielding_design(design: Design) -> Design | None:
-    """The design of a study read again with contacts that yield, the rig of its crushing tests
+@dataclass(frozen=True, kw_only=True)
+class YieldingRows:
+    """Rows with contacts that yield, evaluated where they are asked for."""
+
+    design: Design
+    evaluated: dict[float, Sample]
+
+    def along(self, line: Line) -> Line | None:
+        """The rows of a line with contacts that yield; None where none of them has an answer."""
+        samples = []
+        for value, sample in zip(line.values, line.samples, strict=True):
+            if value not in self.evaluated or self.evaluated[value].count < sample.count:
+                self.evaluated[value] = self._evaluated(value, sample)
+            samples.append(self.evaluated[value].head(sample.count))
+        if any(sample.failed.all() for sample in samples):
+            return None
+        return replace(line, design=self.design, samples=tuple(samples))
+
+    def _evaluated(self, value: float, sample: Sample) -> Sample:
+        design = self.design
+        moving = moving_at(design, value)
+        names, rows = input_rows(design, sample, moving)
+        answers = evaluate_scene(design.judged, names, rows, design.columns)
+        return answered(design, sample, answers, moving)
+
+
+def yielding_rows(design: Design) -> YieldingRows | None:
+    """The rows of a study read again with contacts that yield, the rig of its crushing tests
     among them; None where the study has such contacts, where none would yield, and for a black box.
     """
     study = design.study
@@ -36,31 +60,5 @@ def yielding_design(design: Design) -> Design | None:
             )
         except StudyError:  # a pressure whose meaning has to be said, or nothing that could yield
             continue
-        return Design.with_modes(other, design.modes, design.not_judged, design.evidence)
+        return YieldingRows(design=replace(design, study=other), evaluated={})
     return None
-
-
-@dataclass(frozen=True, kw_only=True)
-class YieldingRows:
-    """Rows with contacts that yield, evaluated where they are asked for."""
-
-    design: Design
-    evaluated: dict[float, Sample]
-
-    def along(self, line: Line) -> Line | None:
-        """The rows of a line with contacts that yield; None where none of them has an answer."""
-        samples = []
-        for value, sample in zip(line.values, line.samples, strict=True):
-            if value not in self.evaluated or self.evaluated[value].count < sample.count:
-                self.evaluated[value] = self._evaluated(value, sample)
-            samples.append(self.evaluated[value].head(sample.count))
-        if any(sample.failed.all() for sample in samples):
-            return None
-        return Line(design=self.design, values=line.values, samples=tuple(samples))
-
-    def _evaluated(self, value: float, sample: Sample) -> Sample:
-        design = self.design
-        moving = moving_at(self.design, value)
-        names, rows = input_rows(design, sample, moving)
-        answers = evaluate_scene(design.judged, names, rows, design.columns)
-        return answered(design, sample, answers, moving)

@@ -6,8 +6,6 @@ plan.  Rows are added at the number itself and beside it until the curve that go
 there as the study asks.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence
@@ -19,7 +17,6 @@ import numpy as np
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.contact_law import YieldingRows
-from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import Aim, Alternative, Curves, Doubt, doubts_of
 from uqsphere.propagation.line import Line, refined
 from uqsphere.uq import student
@@ -81,11 +78,11 @@ class Settled:
 
     def most_conservative(self, margins: Sequence[float | None]) -> float | None:
         """What all margins allow; None where one is None, infinite where all are."""
-        inside = [margin for margin in margins if margin is not None and math.isfinite(margin)]
-        if None in margins:
+        numbers = [margin for margin in margins if margin is not None]
+        if len(numbers) < len(margins):
             return None
         pick = max if self.least else min
-        return pick(inside, default=math.inf)
+        return pick(filter(math.isfinite, numbers), default=math.inf)
 
     @property
     def setting(self) -> Doubt:
@@ -105,12 +102,9 @@ class Settled:
         if at is None:
             at = self.ends[0]
         candidates = {doubt.limit.name: doubt}
-        for other in self.doubts:
+        for other in (*self.doubts, *map(curves.computed, self.aim.untargeted)):
             if curves.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
                 candidates.setdefault(other.limit.name, other)
-        for limit in self.aim.untargeted:
-            if curves.adds_up(limit) and not self.aim.same_tests(limit, doubt.limit):
-                candidates[limit.name] = curves.computed(limit)
         candidates |= {mode.limit.name: curves.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
@@ -124,7 +118,6 @@ class Settling:
     end : when the time for more rows is over, by the monotonic clock [s]
     """
 
-    design: Design
     model: Model
     others: Sequence[Alternative]
     yielding: YieldingRows | None = None
@@ -140,7 +133,7 @@ class Settling:
 
     def accurately(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim, with rows added until the governing curve is accurate there."""
-        required = self.design.study.analysis.accuracy.probability
+        required = self.model.study.analysis.accuracy.probability
         count = _FIRST
         settled = self.once(aim, line)
         for _ in range(_PASSES):
@@ -153,7 +146,7 @@ class Settling:
             there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
             if there and line.samples[nearest].count >= count:
                 doubt = settled.governing
-                allowed = settled.governing.limit.allowable
+                allowed = doubt.limit.allowable
                 half = student(line.samples[0].replicates) * doubt.error[nearest]
                 if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
                     break
@@ -177,7 +170,7 @@ class Settling:
         """Whether budget and time allow so many more model runs."""
         runs = self.model.evaluations + self.model.reused
         took = rows * (self.model.seconds_per_row or 0.0)
-        within = runs + rows <= self.design.study.analysis.budget.evaluations
+        within = runs + rows <= self.model.study.analysis.budget.evaluations
         return within and time.monotonic() + took < self.end
 
     def best(self, settled: Settled) -> float | None:

@@ -6,8 +6,6 @@ value of the criterion in the rig of the tests, on the row's own sphere, exceeds
 tests.  So the scatter of E and nu in the tests is never counted a second time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -7,13 +7,13 @@ the same design: intervals of sampled answers follow from what the replicates di
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.models.scene import absent_quantity
 from uqsphere.propagation.evidence import judged_by_tests, refuted_text
 from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, means_fracture
@@ -33,51 +33,37 @@ class Design:
     """A study with the limits of all its failure modes, and the columns that they need.
 
     study : the study, as the user gave it
-    judged : the study that the model evaluates: behind its own limits stand those of `modes`
     modes : failure modes that the file has no limit for, judged with strengths of the library
     not_judged : other failure modes, and why they are not judged
-    columns : quantities that are evaluated at every point
     evidence : what the crushing tests of the study say of the library's strengths
     """
 
     study: Study
-    judged: Study
-    modes: tuple[AssumedMode, ...]
-    not_judged: Mapping[str, str]
-    columns: tuple[str, ...]
-    evidence: tuple[EvidenceEntry, ...] = ()
+    modes: Sequence[AssumedMode]
+    not_judged: dict[str, str]
+    evidence: list[EvidenceEntry]
 
     @classmethod
     def of(cls, study: Study) -> Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
         assumed, not_judged = failure_modes_of(study)
-        wide = replace(study, limits=(*study.limits, *(mode.limit for mode in assumed)))
+        wide = with_modes(study, assumed)
         reasons = {mode.called: absent_quantity(wide, mode.limit.quantity) for mode in assumed}
         not_judged |= {name: reason for name, reason in reasons.items() if reason}
         answered = [mode for mode in assumed if not reasons[mode.called]]
         evidence, modes = judged_by_tests(study, answered)
         not_judged |= {entry.mode: refuted_text(entry) for entry in evidence if entry.refuted}
-        return cls.with_modes(study, modes, not_judged, evidence)
+        return cls(study=study, modes=modes, not_judged=not_judged, evidence=evidence)
 
-    @classmethod
-    def with_modes(
-        cls,
-        study: Study,
-        modes: Sequence[AssumedMode],
-        not_judged: Mapping[str, str],
-        evidence: Sequence[EvidenceEntry],
-    ) -> Design:
-        """The design of a study with failure modes that are judged beside its limits."""
-        judged = replace(study, limits=(*study.limits, *(mode.limit for mode in modes)))
-        columns = [*study.analysis.quantities, *(limit.quantity for limit in judged.limits)]
-        return cls(
-            study=study,
-            judged=judged,
-            modes=tuple(modes),
-            not_judged=not_judged,
-            columns=tuple(dict.fromkeys(columns)),
-            evidence=tuple(evidence),
-        )
+    @cached_property
+    def judged(self) -> Study:
+        """The study that the model evaluates: behind its own limits stand those of `modes`."""
+        return with_modes(self.study, self.modes)
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """The quantities that are evaluated at every point."""
+        return _quantities(self.study, self.judged.limits)
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -121,8 +107,7 @@ class Design:
         """The quantities whose distributions and indices are answered: those asked for, and those
         of limits.
         """
-        names = [*self.study.analysis.quantities, *(limit.quantity for limit in self.limits)]
-        return tuple(dict.fromkeys(names))
+        return _quantities(self.study, self.limits)
 
     @cached_property
     def explained(self) -> tuple[str, ...]:
@@ -141,9 +126,7 @@ class Design:
         assumed = {mode.limit.name: f"modes.{mode.called}" for mode in self.modes}
         return assumed.get(limit.name, f"limits.{limit.name}")
 
-    def points(
-        self, count: int, start: int = 0, task: str = "sample", joint: Joint | None = None
-    ) -> Sample:
+    def points(self, count: int, start: int = 0, joint: Joint | None = None) -> Sample:
         """`count` points of every replicate, from the `start`-th of its sequence on; `joint`
         replaces the variables.
         """
@@ -151,7 +134,7 @@ class Design:
         if not drawn.names:
             nothing = np.zeros((REPLICATES, count, 0))
             return Sample.at((), nothing, nothing)
-        return at_normals(drawn, self.normals(count, start, task))
+        return at_normals(drawn, self.normals(count, start))
 
     def many_normals(self, count: int) -> Array:
         """The same for as many points as an expansion is evaluated at; those of one count are
@@ -165,7 +148,7 @@ class Design:
     def _many(self) -> dict[int, Array]:
         return {}
 
-    def normals(self, count: int, start: int = 0, task: str = "sample") -> Array:
+    def normals(self, count: int, start: int = 0) -> Array:
         """The points as independent standard normals (R, count, D)."""
         uniforms = [
             sobol_points(
@@ -173,7 +156,7 @@ class Design:
                 count=count,
                 start=start,
                 seed=self.study.seed,
-                task=task,
+                task="sample",
                 replicate=replicate,
             )
             for replicate in range(REPLICATES)
@@ -181,17 +164,25 @@ class Design:
         return normal_scores(np.stack(uniforms))
 
 
+def with_modes(study: Study, modes: Iterable[AssumedMode]) -> Study:
+    """A study with the limits of failure modes behind its own."""
+    return replace(study, limits=(*study.limits, *(mode.limit for mode in modes)))
+
+
+def _quantities(study: Study, limits: Iterable[Limit]) -> tuple[str, ...]:
+    """The quantities that a study asks for, and those of limits."""
+    names = [*study.analysis.quantities, *(limit.quantity for limit in limits)]
+    return tuple(dict.fromkeys(names))
+
+
 def normal_scores(uniforms: Array) -> Array:
     """Standard normal scores of uniforms of any shape."""
-    from scipy.special import ndtri
-
-    return np.asarray(ndtri(uniforms))
+    return special.ndtri(uniforms)
 
 
 def at_normals(joint: Joint, normals: Array) -> Sample:
     """The points of a joint distribution at independent standard normals (R, n, D)."""
-    flat = normals.reshape(-1, normals.shape[2])
-    return Sample.at(joint.names, normals, joint.physical(flat).reshape(normals.shape))
+    return Sample.at(joint.names, normals, joint.physical(normals))
 
 
 def number(value: Law | float) -> float:

@@ -2,15 +2,12 @@
 beyond the record.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
-from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.uq.describe import Description
 
@@ -21,14 +18,12 @@ def distributions(design: Design, tables: Tables) -> Answers:
     runs = tables.runs if design.drawn.names else 1
     for name in design.described:
         description = described(design, tables, name)
-        unit = lookup(name).unit
-        answers.add(name, "mean", "", description.mean, unit=unit, runs=runs)
-        answers.add(name, "sd", "", description.sd, unit=unit, runs=runs)
+        answers.add(name, "mean", "", description.mean, runs=runs)
+        answers.add(name, "sd", "", description.sd, runs=runs)
         for p, estimate in description.quantiles.items():
-            answers.add(name, "quantile", p, estimate, unit=unit, runs=runs)
+            answers.add(name, "quantile", p, estimate, runs=runs)
         if tables.sample.late(name).any():
-            share = description.censored_share
-            answers.add(name, "censored_share", "", share, unit="", runs=runs)
+            answers.add(name, "censored_share", "", description.censored_share, runs=runs)
     return answers
 
 
@@ -48,9 +43,8 @@ def density(values: Array) -> list[list[float]] | None:
     flat = np.sort(values[np.isfinite(values)].ravel())
     if flat.size < 16 or not flat[-1] - flat[0] > 1e-9 * abs(flat[-1]):
         return None
-    low, high = np.quantile(flat, [0.0005, 0.9995])
-    sd = float(flat.std())
-    first, third = np.quantile(flat, [0.25, 0.75])
+    low, first, third, high = np.quantile(flat, [0.0005, 0.25, 0.75, 0.9995])
+    sd = flat.std()
     width = 0.9 * (min(sd, (third - first) / 1.349) or sd) * flat.size**-0.2
     places = np.linspace(low - 2.0 * width, high + 2.0 * width, 160)
     # counts in cells much finer than the kernel, so that the cost does not grow with the rows

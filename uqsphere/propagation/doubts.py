@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Values, special
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.evidence import REFUTED
@@ -61,17 +61,15 @@ class Aim:
         """Whether exceedance is what must not happen."""
         return self.word == "survive"
 
-    def failure(self, exceeded: Array | float) -> Array:
+    def failure(self, exceeded: Values) -> Values:
         """Failure probability from that of exceedance."""
         if self.survive:
-            return np.asarray(exceeded)
-        return np.asarray(1.0 - exceeded)
+            return exceeded
+        return 1.0 - exceeded
 
-    def keeps(self, exceeded: Array | float, limit: Limit) -> Flags:
+    def keeps(self, exceeded: Values, limit: Limit) -> Values:
         """Whether probabilities of exceedance keep the target of a limit."""
-        if self.survive:
-            return np.asarray(exceeded <= limit.allowable)
-        return np.asarray(exceeded >= limit.allowable)
+        return self.failure(exceeded) <= limit.target
 
     @cached_property
     def groups(self) -> tuple[tuple[Limit, ...], ...]:
@@ -97,15 +95,6 @@ class Aim:
             untargeted=tuple(limit for limit in self.untargeted if limit.name != name),
             modes=tuple(mode for mode in self.modes if mode.limit.name != name),
         )
-
-    def with_strength(self, name: str, strength: Law) -> Aim:
-        """The aim with another strength of a failure mode."""
-        modes = []
-        for mode in self.modes:
-            if mode.limit.name == name:
-                mode = replace(mode, limit=replace(mode.limit, strength=strength))
-            modes.append(mode)
-        return replace(self, modes=tuple(modes))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,12 +184,9 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
         laws |= _other_fits(law)
     allowed: dict[str, tuple[Law, ...]] = {}
     tests = tests_behind(limit) or (0.0,)
-    first = tests[0]
-    last = tests[-1]
+    task = f"{count_tests(law)} tests from {tests[0]!r} to {tests[-1]!r}"
     for name, fitted in laws.items():
-        generator = random_generator(
-            seed=design.study.seed, task=f"{count_tests(law)} tests from {first!r} to {last!r}"
-        )
+        generator = random_generator(seed=design.study.seed, task=task)
         with suppress(LawError):
             allowed[name] = tuple(possible_laws(fitted, LAWS, generator, limit.allowable))
     return allowed
@@ -226,7 +212,7 @@ def other_distributions(law: Law) -> dict[str, tuple[Law, ...]]:
         return {}
     mean = law.mean()
     sd = law.sd()
-    if mean is None or sd is None or not mean > 0.0 or not sd > 0.0:
+    if not (mean > 0.0 and sd > 0.0):
         return {}
     with suppress(ValueError):  # a scatter that no law has
         if law.family.name == "weibull":
@@ -311,10 +297,11 @@ class Curves:
         if len(curve) < 2:
             return None
         kept = self.aim.keeps(curve, limit)
-        aim = self.aim
-        return self.line.crossing(curve, kept, limit.allowable, keeps_below=aim.survive)
+        return self.line.crossing(curve, kept, limit.allowable, keeps_below=self.aim.survive)
 
-    def by_strengths(self, limit: Limit, laws: Sequence[Law] = (), *, tied: bool = True) -> Array:
+    def by_strengths(
+        self, limit: Limit, laws: Sequence[Law | float] = (), *, tied: bool = True
+    ) -> Array:
         """The mean exceedance (2, laws, K, R) of a limit, alone and with the other failure modes,
         by each of some strengths; by its own where there are none.
         """
@@ -322,14 +309,12 @@ class Curves:
         if not tied:
             state = replace(state, tie=None)
         hold = self._held.get(limit.name)
-        others = np.zeros(1) if hold is None else self.line.means(1.0 - hold)
         means = []
-        strengths = [state.strength, *laws]
-        for strength in strengths[bool(laws) :]:
+        for strength in laws or [state.strength]:
             rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)
             alone = joint = self.line.means(rows)
             if hold is not None:
-                joint = others + self.line.means(rows * hold)
+                joint = self.line.means(1.0 - hold + rows * hold)
             means.append((alone, joint))
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
@@ -344,13 +329,7 @@ class Curves:
         if means.shape[1] < 2:
             return means[:, 0]
         ends = [
-            probability_ends(
-                float(row.mean()),
-                float((1.0 - row).mean()),
-                spread(row),
-                row.size,
-                float(sample.size),
-            )
+            probability_ends(row.mean(), (1.0 - row).mean(), spread(row), row.size, sample.size)
             for row, sample in zip(means, self.line.samples, strict=True)
         ]
         return np.array(ends)[:, int(self.aim.survive)]
@@ -422,7 +401,7 @@ class Curves:
         def moved(ends: Array, before: Array, after: Array) -> Array:
             few_line = self.few.line
             change = scores(self.line, after) - scores(few_line, before)
-            return np.asarray(special.ndtr(scores(few_line, ends) + change))
+            return special.ndtr(scores(few_line, ends) + change)
 
         pooled = np.quantile(means.mean(axis=3, keepdims=True), end, axis=1)
         curves = moved(pooled, few.mean(axis=2, keepdims=True), every.mean(axis=2, keepdims=True))

@@ -7,8 +7,6 @@ of the probabilities to stand would refute every true strength, because at the f
 is a product of uniform variables.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The failure modes that a study has no limit for, assessed with library strengths."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ The moment of fracture is read off the loading of a few hundred spheres, drawn w
 from those that break.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +13,7 @@ from uqsphere.arrays import Array
 from uqsphere.models.scene import fractures_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.limits import state_of
-from uqsphere.propagation.tables import Tables
+from uqsphere.propagation.tables import Tables, input_rows
 from uqsphere.results import Answers
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import random_generator
@@ -42,47 +40,38 @@ def fracture(design: Design, tables: Tables) -> Answers:
     limits = _each_once(design.fracture)
     if len(limits) < 2 or design.study.black_box or not design.drawn.names:
         return answers
-    sample = tables.sample.head(min(tables.sample.count, MOST))
+    sample = tables.sample.head(MOST)
     generator = random_generator(seed=design.study.seed, task="fracture")
     union = make_union(
         [state_of(design, limit, sample) for limit in limits],
         _common_factor(design, limits),
         generator,
     )
-    answers.add(
-        "fracture",
-        "exceedance_probability",
-        "",
-        exceedance(union_state(union)),
-        unit="1",
-        runs=tables.runs,
-    )
+    exceeded = exceedance(union_state(union))
+    answers.add("fracture", "exceedance_probability", "", exceeded, runs=tables.runs)
     drawn = draw_breaking(union, SPECIMENS, generator)
     if drawn is None:
         return answers
     shape = drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
-    rows = np.stack([sample.input(name).ravel()[flat] for name in design.inputs], axis=1)
+    names, rows = input_rows(design, sample, {})
     fractures = fractures_of(
         design.judged,
-        design.inputs,
-        rows,
+        names,
+        rows[flat],
         [limit.quantity for limit in limits],
         drawn.shares.reshape(len(limits), -1).T,
     )
     first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
         share = share_of(first == k, METHOD, weights=drawn.weights)
-        answers.add("fracture", "mode_share", limit.name, share, unit="1", runs=first.size)
-    for name, values, unit in (
-        ("time", fractures.time, "s"),
-        ("force", fractures.force, "N"),
-        ("energy", fractures.energy, "J"),
-    ):
+        answers.add("fracture", "mode_share", limit.name, share, runs=first.size)
+    for name in ("time", "force", "energy"):
+        values = getattr(fractures, name)
         filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
         for p in (0.05, 0.5, 0.95):
             estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
-            answers.add("fracture", f"{name}_at_fracture", p, estimate, unit=unit, runs=first.size)
+            answers.add("fracture", f"{name}_at_fracture", p, estimate, runs=first.size)
     return answers
 
 

@@ -5,25 +5,26 @@ The same points serve every value, so that the curve is smooth; each replicate h
 and their spread is the interval.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uqsphere.arrays import Array
+from uqsphere.errors import UsageError
+from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design, number
 from uqsphere.propagation.free_number import demand_factor, grid
 from uqsphere.propagation.limits import failure_given_inputs, state_of
+from uqsphere.propagation.line import evaluated_at
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import Answers
-from uqsphere.study import Limit
+from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
+from uqsphere.uq.estimate import REPLICATES
 
 METHOD = "the same points at every value"
 
@@ -37,12 +38,11 @@ def fragility(design: Design, tables: Tables) -> Answers:
     unit = lookup(margins.solve).unit
     runs = tables.line_runs
     planned = planned_value(design)
-    plain: dict[str, Any] = {"unit": "1", "method": METHOD, "runs": runs}
     for limit in design.judged.limits:
         subject = design.subject(limit)
         fitted = curve_of(design, tables, limit)
-        for row in fitted.curve:
-            answers.row(subject, "curve", *row, **plain)
+        for at, *ends in fitted.curve:
+            answers.row(subject, "curve", at, *ends, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
             answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
         allowed = fitted.values.get(limit.allowable)
@@ -57,7 +57,7 @@ def fragility(design: Design, tables: Tables) -> Answers:
             factors.append(factor)
         if limit.aim != "survive":
             factors[1], factors[2] = factors[2], factors[1]
-        answers.row(subject, "safety_factor", margins.solve, *factors, **plain)
+        answers.row(subject, "safety_factor", margins.solve, *factors, method=METHOD, runs=runs)
     return answers
 
 
@@ -81,25 +81,16 @@ def curve_of(
     margins = design.study.margins
     sample = tables.sample
     assert margins is not None
-    folds: Array | None = None
-    if margins.limit is None:
-        values = [*tables.line]
-        counts = [rows.count for rows in tables.line.values()]
-        means = _along(design, tables.line, limit)
-        if tables.fold_line:
-            folds = np.array(_along(design, tables.fold_line, limit))
-    else:
-        values = grid(margins, VALUES)
-        state = state_of(design, limit, sample)
-        counts = [sample.count] * len(values)
-        means = []
-        for value in values:
-            demands = state.demands * demand_factor(margins, limit, value)
-            exceeded = failure_given_inputs(replace(state, demands=demands), "survive")
-            means.append(exceeded.mean(axis=1))
+    folds = None
+    line = tables.line
+    if margins.limit is not None:
+        line = dict.fromkeys(grid(margins, VALUES), sample)
+    elif tables.fold_line:
+        folds = _along(design, tables.fold_line, limit)
+    counts = [rows.count for rows in line.values()]
     return fragility_of(
-        np.array(values),
-        np.clip(np.array(means), 0.0, 1.0),
+        np.array([*line]),
+        np.clip(_along(design, line, limit), 0.0, 1.0),
         targets or sorted({*margins.for_probability, limit.allowable}),
         samples=min(counts),
         evaluations=sample.replicates * sum(counts),
@@ -107,12 +98,17 @@ def curve_of(
     )
 
 
-def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> list[Array]:
-    """Mean probabilities (R,) of exceedance of a limit at each value of a line, all at once."""
-    first, *others = line.values()
-    exceeded = failure_given_inputs(state_of(design, limit, first.join(*others)), "survive")
-    ends = np.cumsum([sample.count for sample in line.values()])[:-1]
-    return [part.mean(axis=1) for part in np.split(exceeded, ends, axis=1)]
+def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> Array:
+    """Mean probabilities (K, R) of exceedance of a limit at each value of a line."""
+    margins = design.study.margins
+    assert margins is not None
+    means = []
+    for value, sample in line.items():
+        state = state_of(design, limit, sample)
+        demands = state.demands * demand_factor(margins, limit, value)
+        exceeded = failure_given_inputs(replace(state, demands=demands), "survive")
+        means.append(exceeded.mean(axis=1))
+    return np.array(means)
 
 
 def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
@@ -120,8 +116,59 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
     accuracy is held to.
     """
     values = curve_of(design, tables, limit, sorted({0.16, limit.allowable, 0.84})).values
-    low = values[0.16].value
-    high = values[0.84].value
-    if low is None or high is None or low == high:
-        return values[limit.allowable], None
-    return values[limit.allowable], 0.5 * abs(high - low)
+    margin, low, high = (values[p] for p in (limit.allowable, 0.16, 0.84))
+    if low.value is None or high.value is None or low.value == high.value:
+        return margin, None
+    return margin, 0.5 * abs(high.value - low.value)
+
+
+# --- curves without a whole run -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curves:
+    """What a study answers at values (m,) of its free number [SI].
+
+    outputs : (m, n) of each quantity; NaN without an answer.
+    limits : probability of exceeding the strength of each limit, with the values at the margins'
+        probabilities.
+    failed : (m,) share of samples without an answer.
+    """
+
+    values: Array
+    outputs: Mapping[str, Array]
+    limits: Mapping[str, Fragility]
+    failed: Array
+
+
+def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) -> Curves:
+    """Fragility curves over the free number of a study's margins, as its run computes them.
+
+    The strengths of tests, their size effect and the dependence of the inputs count as in
+    `uqsphere.run`; library modes are left out.
+
+    Parameters
+    ----------
+    study : an impact scene with `[margins]`
+    rows : samples at every value, at least 16
+    values : values of the free number
+
+    Raises UsageError for a study without such margins, or a black box; TooManyFailures.
+    """
+    margins = study.margins
+    if study.black_box or margins is None or margins.limit is not None:
+        raise UsageError("fragility curves need an impact scene whose [margins] vary one number")
+    design = Design.of(study)
+    counts = dict.fromkeys(grid(margins, values), max(round(rows / REPLICATES), 2))
+    with Model(design.judged) as model:
+        line = evaluated_at(design, model, {}, counts)
+    tables = Tables(sample=next(iter(line.values())), line=line)
+    samples = [*line.values()]
+    outputs = {}
+    for name in design.columns:
+        outputs[name] = np.stack([sample.outputs(name) for sample in samples])
+    limits = {}
+    for limit in study.limits:
+        limits[limit.name] = curve_of(design, tables, limit, margins.for_probability)
+    failed = np.array([sample.failed.mean() for sample in samples])
+    return Curves(values=np.array([*line]), outputs=outputs, limits=limits, failed=failed)

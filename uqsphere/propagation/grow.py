@@ -7,8 +7,6 @@ the first n points at each of 25 values of the free number, and more where a mar
 chaos is not accurate enough.  A probability too small for n is left to one search for rare events.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

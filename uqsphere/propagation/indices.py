@@ -1,8 +1,6 @@
 """Sobol' indices of the quantities, first and total: from the polynomial chaos where that is
 accurate enough, else from pairs of runs (pick and freeze)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uqsphere.arrays import special
@@ -10,7 +8,6 @@ from uqsphere.models.model import Model
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.sampled import METHOD, source_of
 from uqsphere.propagation.tables import Indices, Tables
-from uqsphere.quantities import lookup
 from uqsphere.results import Answers
 from uqsphere.uq import absent
 
@@ -27,7 +24,7 @@ def indices(design: Design, tables: Tables) -> Answers:
                 runs += tables.pairs[name].size
             orders = ("second",) if "," in label else ("first", "total")
             for order, estimate in zip(orders, row, strict=True):
-                answers.add(name, f"sobol_{order}", label, estimate, unit="1", runs=runs)
+                answers.add(name, f"sobol_{order}", label, estimate, runs=runs)
     return answers
 
 
@@ -48,8 +45,8 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
     source = source_of(design, tables)
     seed = design.study.seed
     sample = source.rows
-    scores = np.stack([sample.scores[..., sample.names.index(name)].ravel() for name in names])
-    given = special.ndtr(scores[:, :GIVEN].T)
+    scores = sample.scores[..., : len(names)].reshape(-1, len(names))
+    given = special.ndtr(scores[:GIVEN])
     for method in SALIB_METHODS:
         if method not in design.study.analysis.measures:
             continue
@@ -69,10 +66,8 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Answers:
             row = [absent(reason or "none", f"SALib {method}", 0)] * len(names)
             if not reason:
                 row = salib_measures(method, uniforms, outputs, names, seed=seed)
-            # mu* is the change of the quantity over the whole range of an input
-            unit = lookup(name).unit if method == "morris" else "1"
             for label, estimate in zip(names, row, strict=True):
-                answers.add(name, method, label, estimate, unit=unit, runs=len(uniforms))
+                answers.add(name, method, label, estimate, runs=len(uniforms))
     return answers
 
 

@@ -2,8 +2,6 @@
 exactly.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -46,15 +44,14 @@ def limits(design: Design, tables: Tables) -> Answers:
             runs += tables.rare[limit.name].estimate.evaluations
         if limit.aim != "survive":
             exceeded = complement(failed)
-        origin = {"unit": "1", "runs": runs}
-        answers.add(subject, "exceedance_probability", "", exceeded, **origin)
-        answers.add(subject, "failure_probability", "", failed, **origin)
+        answers.add(subject, "exceedance_probability", "", exceeded, runs=runs)
+        answers.add(subject, "failure_probability", "", failed, runs=runs)
         index, high, low = map(reliability_index, (failed.value, *failed.outer))
         if index is not None:
-            how = failed.method
-            answers.row(subject, "reliability_index", "", index, low, high, method=how, **origin)
+            origin = {"method": failed.method, "runs": runs}
+            answers.row(subject, "reliability_index", "", index, low, high, **origin)
         ratio = safety_factor(state_of(design, limit, tables.sample))
-        answers.add(subject, "safety_factor", "strength over demand", ratio, **origin)
+        answers.add(subject, "safety_factor", "strength over demand", ratio, runs=runs)
     return answers
 
 
@@ -120,13 +117,11 @@ def state_of(
         on_failure="drop" if policy == "abort" else policy,
     )
     name = strength_name(limit.name)
-    names = design.drawn.names
     tied = bool(design.study.dependence) and name in design.joint.names
     if not tied or not isinstance(strength, Law):
         return state
-    scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
-    tie = design.joint.tie(name, names, scores.reshape(sample.scores.shape))
-    return replace(state, tie=tie)
+    scores = design.drawn.scores(sample.scores)
+    return replace(state, tie=design.joint.tie(name, design.drawn.names, scores))
 
 
 # --- drivers -----------------------------------------------------------------------------------
@@ -144,8 +139,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
     if not names:
         return answers
     sample = tables.sample.head(MOST_POINTS)
-    origin = {"unit": "1", "runs": tables.runs}
-    scores = design.drawn.scores(sample.scores.reshape(-1, len(names)))
+    scores = design.drawn.scores(sample.scores).reshape(-1, len(names))
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
     for limit in design.judged.limits:
         state = state_of(design, limit, sample)
@@ -163,7 +157,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
         changes = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
-                answers.add(subject, "driver", name, estimate, **origin)
+                answers.add(subject, "driver", name, estimate, runs=tables.runs)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
             score = score_of(*law.tails(state.demands))
@@ -175,7 +169,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
-            answers.add(subject, "driver", strength_name(limit.name), change, **origin)
+            answers.add(subject, "driver", strength_name(limit.name), change, runs=tables.runs)
     return answers
 
 

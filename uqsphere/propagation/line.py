@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags, Values, special
 from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.free_number import demand_factor, grid, moved
@@ -51,10 +51,7 @@ class Line:
         """The values on the scale on which curves are interpolated: logarithms where all are
         positive.
         """
-        values = np.array(self.values)
-        if values[0] > 0.0:
-            values = np.log(values)
-        return values
+        return np.asarray(self.place_of(np.array(self.values)))
 
     @cached_property
     def few(self) -> Line:
@@ -76,16 +73,16 @@ class Line:
         probability = np.where(probability > 0.0, probability, half)
         return np.where(probability < 1.0, probability, 1.0 - half)
 
-    def value_at(self, place: float) -> float:
+    def value_at(self, place: Values) -> Values:
         """The value of the free number at a place."""
         if self.values[0] > 0.0:
-            return math.exp(place)
+            return np.exp(place)
         return place
 
-    def place_of(self, value: float) -> float:
+    def place_of(self, value: Values) -> Values:
         """The place of a value of the free number."""
         if self.values[0] > 0.0:
-            return math.log(value)
+            return np.log(value)
         return value
 
     def state(self, limit: Limit, strength: Law | float | None = None) -> LimitState:
@@ -136,7 +133,7 @@ class Line:
         if k in (0, len(curve)):
             return None
         excess = self._interpolated(score(curve) - score(allowed))
-        return self.value_at(float(brentq(excess, self.places[k - 1], self.places[k])))
+        return float(self.value_at(brentq(excess, self.places[k - 1], self.places[k])))
 
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""
@@ -153,7 +150,7 @@ class Line:
 
 def score(probability: Array | float) -> Array:
     """Normal score of a probability, bounded where it is 0 or 1."""
-    return np.asarray(special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16)))
+    return special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16))
 
 
 def moving_at(design: Design, value: float) -> dict[str, Array]:
@@ -183,7 +180,7 @@ def line_of(design: Design, tables: Tables) -> Line | None:
     margins = design.study.margins
     samples = tables.line
     if margins is not None and margins.limit is not None:
-        sample = tables.sample.head(min(tables.sample.count, _SHARED))
+        sample = tables.sample.head(_SHARED)
         samples = dict.fromkeys(grid(margins, VALUES), sample)
     if not samples:
         return None

@@ -5,8 +5,6 @@ of its distribution, the margin of a limit being tabulated over location and sca
 Each series also cuts the library's failure modes anew, so that tests raise the number twice.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

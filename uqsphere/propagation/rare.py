@@ -6,8 +6,6 @@ to the origin. Limits on one quantity have failure domains inside each other: wh
 seen serves those that are rarer, and is searched anew only where too little of it fails.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

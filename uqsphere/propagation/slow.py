@@ -1,7 +1,5 @@
 """What the rows of a slow model answer, with the expansions that are fitted to them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The tables of a run: what was evaluated, and the one way in which points become rows of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

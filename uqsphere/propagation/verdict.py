@@ -2,8 +2,6 @@
 it, the certificate of what the number rests on, and what to do next.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,12 +14,12 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.caveats import caveats_of
 from uqsphere.propagation.checks import Check
-from uqsphere.propagation.contact_law import YieldingRows, yielding_design
+from uqsphere.propagation.contact_law import yielding_rows
 from uqsphere.propagation.decision import Settled, Settling
 from uqsphere.propagation.demands import number_of_tests, strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import Aim, Curves, Doubt, alternatives
-from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
+from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.line import line_of, plan_of, refined
@@ -64,11 +62,6 @@ class Judged:
         return self.line or self.plan
 
     @property
-    def planned(self) -> float | None:
-        """The planned value of the free number."""
-        return planned_value(self.aim.design)
-
-    @property
     def lead(self) -> Limit:
         """The limit that the decision speaks of: the one that sets the number; where nothing has a
         target, or a failure mode governs, one that means fracture before others.
@@ -96,23 +89,13 @@ def judge(
 
     end : when the time for more rows is over, by the monotonic clock [s]
     """
-    judged: list[Judged] = []
-    yielding = None
-    yields = yielding_design(design)
+    judged = []
+    yielding = yielding_rows(design)
     planned = planned_value(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word)
-        if yields is not None:
-            yielding = YieldingRows(design=yields, evaluated={})
-        settling = Settling(
-            design=design,
-            model=model,
-            others=alternatives(aim),
-            yielding=yielding,
-            end=end,
-        )
-        head = tables.sample.head(min(tables.sample.count, _AT_PLAN))
-        plan = settling.once(aim, plan_of(design, head))
+        settling = Settling(model=model, others=alternatives(aim), yielding=yielding, end=end)
+        plan = settling.once(aim, plan_of(design, tables.sample.head(_AT_PLAN)))
         line = line_of(design, tables)
         settled = None
         if line is not None:
@@ -167,14 +150,12 @@ def aim_of(design: Design, word: types.Aim) -> Aim:
     """
     every = [limit for limit in design.limits if limit.aim == word]
     limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
-    untargeted: tuple[Limit, ...] = ()
-    modes: tuple[AssumedMode, ...] = ()
-    if word == "survive" and any(means_fracture(limit) for limit in limits):
-        untargeted = tuple(
-            limit for limit in every if limit not in limits and means_fracture(limit)
-        )
-        modes = tuple(mode for mode in design.modes if mode.counts)
-    return Aim(design=design, word=word, limits=limits, untargeted=untargeted, modes=modes)
+    aim = Aim(design=design, word=word, limits=limits)
+    if not aim.survive or not any(map(means_fracture, limits)):
+        return aim
+    untargeted = (limit for limit in every if limit not in limits and means_fracture(limit))
+    modes = (mode for mode in design.modes if mode.counts)
+    return replace(aim, untargeted=tuple(untargeted), modes=tuple(modes))
 
 
 def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
@@ -214,7 +195,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     """The decision of an aim, as the results have it."""
     settled = judged.settled
     aim = judged.aim
-    governing = judged.settled.governing
+    governing = settled.governing
     subject = aim.design.subject(governing.limit)
     lead = judged.lead
     caveats = caveats_of(settled, judged.settling.yielding, checks)
@@ -264,11 +245,11 @@ def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None
     settled = judged.settled
     free = judged.aim.design.study.margins
     number = settled.use
-    planned = judged.planned
+    planned = planned_value(judged.aim.design)
     factor = None
     if number is None or free is None:
         return None
-    if planned and number > 0.0 and planned > 0.0:
+    if planned is not None and number > 0.0 and planned > 0.0:
         factor = number / planned
         if settled.least:
             factor = planned / number
@@ -320,10 +301,13 @@ def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
         return None
     name = settled.governing.limit.name
     mode = next(mode for mode in aim.modes if mode.limit.name == name)
-    weak, strong = (
-        judged.settling.once(aim.with_strength(name, law), settled.line).number
-        for law in (mode.weak, mode.strong)
-    )
+    rest = aim.without(name)
+    numbers = []
+    for law in (mode.weak, mode.strong):
+        other = replace(mode, limit=replace(mode.limit, strength=law))
+        taken = replace(rest, modes=(*rest.modes, other))
+        numbers.append(judged.settling.once(taken, settled.line).number)
+    weak, strong = numbers
     return types.LibraryRange(
         mode=mode.called, middle=settled.number, weak=weak, strong=strong, own=alone.number
     )
@@ -340,8 +324,7 @@ def _certificate(judged: Judged) -> list[types.Doubt]:
         for mode in judged.aim.design.modes:
             assumed = judged.settled.curves.assumed(mode)
             row = _row(judged, assumed, judged.probability[mode.limit.name].value)
-            counts = any(mode is counted for counted in judged.aim.modes)
-            rows.append(row.model_copy(update={"counts": counts}))
+            rows.append(row.model_copy(update={"counts": mode in judged.aim.modes}))
     return rows
 
 
@@ -410,7 +393,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     the plan.
     """
     margin = judged.along(doubt)
-    planned = judged.planned
+    planned = planned_value(judged.aim.design)
     limit = doubt.limit
     if margin is not None and planned is not None:
         if judged.settled.least and margin != math.inf:
@@ -527,7 +510,6 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         value,
         low,
         high,
-        unit="1",
         runs=runs,
         method=method,
         note=note,

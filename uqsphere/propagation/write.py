@@ -1,12 +1,10 @@
 """What is kept of a run: results.json, the tables, and the page."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Values
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
@@ -80,21 +78,12 @@ def results_of(
     design: Design,
     tables: Tables,
     answers: Answers,
-    decisions: Sequence[Decision],
+    decisions: list[Decision],
     checks: Sequence[Check],
     cost: Cost,
 ) -> Results:
     """What results.json holds."""
     study = design.study
-    limits = {}
-    modes = {}
-    for limit in design.limits:
-        points = _test_points(design, tables, limit)
-        limits[limit.name] = _limit(limit, assumed=False, source="study", test_points=points)
-    for mode in design.modes:
-        source = mode.entry.source
-        checked = mode.entry.seen
-        modes[mode.called] = _limit(mode.limit, assumed=True, source=source, source_checked=checked)
     return Results(
         study=StudyEntry(
             title=study.title,
@@ -106,16 +95,32 @@ def results_of(
             overrides=list(study.overrides),
             warnings=list(study.warnings),
             quantities={name: _quantity(design, tables, name) for name in design.described},
-            limits=limits,
-            modes=modes,
-            not_judged=dict(design.not_judged),
+            limits={
+                limit.name: _limit(
+                    limit,
+                    assumed=False,
+                    source="study",
+                    test_points=_test_points(tables, limit),
+                )
+                for limit in design.limits
+            },
+            modes={
+                mode.called: _limit(
+                    mode.limit,
+                    assumed=True,
+                    source=mode.entry.source,
+                    source_checked=mode.entry.seen,
+                )
+                for mode in design.modes
+            },
+            not_judged=design.not_judged,
             dependence=[_dependence(tie) for tie in study.dependence],
             correlations=_correlations(design, tables),
         ),
         inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
         answers=answers.rows,
-        decisions=list(decisions),
-        evidence=list(design.evidence),
+        decisions=decisions,
+        evidence=design.evidence,
         checks=[check.entry() for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
@@ -262,7 +267,7 @@ def _limit(limit: Limit, **origin: Any) -> LimitEntry:
     )
 
 
-def _test_points(design: Design, tables: Tables, limit: Limit) -> list[list[float]] | None:
+def _test_points(tables: Tables, limit: Limit) -> list[list[float]] | None:
     """Tests of a limit along the free number: values, shares broken, and 1 for right-censored ones.
 
     A test lies where the median demand is what its specimen bore; its share is that of Kaplan and
@@ -278,23 +283,22 @@ def _test_points(design: Design, tables: Tables, limit: Limit) -> list[list[floa
     demands = np.array([np.nanmedian(demands_of(limit, tables.line[x])) for x in values])
     if not (np.isfinite(demands).all() and (np.diff(demands) > 0.0).all() and demands[0] > 0.0):
         return None
-    logs = np.interp(np.log(strengths), np.log(demands), values, np.nan, np.nan)
     order = np.lexsort((stopped, strengths))
-    shares = np.empty(len(strengths))
-    shares[order] = _kaplan_meier(stopped[order])
-    points = np.array([logs, shares, stopped.astype(float)])[:, order]
-    shown: list[list[float]] = points[:, np.isfinite(points[0])].tolist()
+    stopped = stopped[order]
+    along = np.interp(np.log(strengths[order]), np.log(demands), values, np.nan, np.nan)
+    points = np.array([along, _kaplan_meier(stopped), stopped])
+    shown: list[list[float]] = points[:, np.isfinite(along)].tolist()
     if not shown[0]:
         return None
     return shown
 
 
-def _kaplan_meier(stopped: Array) -> Array:
+def _kaplan_meier(stopped: Flags) -> Values:
     """Share broken at each of some tests in rising order, in the middle of its step."""
     left = len(stopped) - np.arange(len(stopped))
     survival = np.cumprod(np.where(stopped, 1.0, 1.0 - 1.0 / left))
     before = np.concatenate([[1.0], survival[:-1]])
-    return np.asarray(1.0 - 0.5 * (before + survival))
+    return 1.0 - 0.5 * (before + survival)
 
 
 def _strength(limit: Limit) -> Strength:
@@ -318,14 +322,12 @@ def _strength_text(limit: Limit) -> str:
     if not isinstance(law, Law):
         return format_value(float(law), limit.quantity)
     mean = law.mean()
-    sd = law.sd()
     text = law.family.name.replace("_", " ").capitalize()
-    if mean is not None:
-        text += f", mean {format_value(mean, limit.quantity)}"
+    text += f", mean {format_value(mean, limit.quantity)}"
     if law.family.name == "weibull" and "modulus" in law.parameters:
         text += f", modulus {law.parameters['modulus']:.3g}"
-    elif mean and sd is not None:
-        text += f", scatter {format_probability(sd / abs(mean))}"
+    elif mean:
+        text += f", scatter {format_probability(law.sd() / abs(mean))}"
     return text
 
 
@@ -341,11 +343,9 @@ def _dependence(tie: Dependence) -> DependenceEntry:
 def _input(study: Study, name: str) -> InputEntry:
     source = study.sources.get(name)
     law = study.laws().get(name)
-    reference = "study"
-    checked = True
+    reference, checked = "study", True
     if source:
-        reference = source.source
-        checked = source.seen
+        reference, checked = source.source, source.seen
     if law is None:
         mean = p05 = p95 = study.fixed[name]
         sd = 0.0
@@ -423,10 +423,10 @@ def written(
     study: Study,
     results: Results,
     samples: Mapping[str, Array | Flags],
-    live: dict[str, Any],
+    pairs_of: Callable[[str], Any],
 ) -> Run:
     """The run, kept in its folder with its page where it has one."""
-    run = Run(results=results, folder=folder, columns=samples, live=live)
+    run = Run(results=results, folder=folder, columns=samples, study=study, pairs_of=pairs_of)
     if folder is None:
         return run
     files: dict[str, str | bytes] = {

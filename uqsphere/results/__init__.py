@@ -1,7 +1,5 @@
 """What a run answers: one long table, kept in a folder of few files, and opened again."""
 
-from __future__ import annotations
-
 from uqsphere.results.answers import COLUMNS, Answers
 from uqsphere.results.run import Run, open_run
 

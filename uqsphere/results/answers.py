@@ -9,7 +9,8 @@ import io
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.results.types import Answer
+from uqsphere.quantities import lookup
+from uqsphere.results.types import OF_QUANTITY, Answer, Kind
 from uqsphere.uq import Estimate
 
 if TYPE_CHECKING:
@@ -40,9 +41,7 @@ class Answers:
         estimate: Estimate,
         **origin: Any,
     ) -> None:
-        """An estimate, with its unit and runs; one without a value leaves its reason as the
-        note.
-        """
+        """An estimate, with its runs; one without a value leaves its reason as the note."""
         ends = estimate.low, estimate.high
         low, high = estimate.outer
         origin |= {"method": estimate.method, "note": estimate.reason or ""}
@@ -59,12 +58,15 @@ class Answers:
         high: float | None = None,
         **origin: Any,
     ) -> None:
-        """A row of plain numbers, with its unit and further columns; what is not finite is left
-        empty.
+        """A row of plain numbers, with further columns; what is not finite is left empty.
+
+        The unit is that of the kind of answer, or of the quantity; others are given.
         """
-        cells = {"low_unseen": low, "high_unseen": high, **origin}
-        place = at if isinstance(at, str) else float(at)
-        cells |= {"subject": subject, "answer": answer, "at": place}
+        unit = Kind(answer).unit
+        if unit == OF_QUANTITY:
+            unit = lookup(subject).unit
+        cells = {"unit": unit, "low_unseen": low, "high_unseen": high, **origin}
+        cells |= {"subject": subject, "answer": answer, "at": at}
         self.rows.append(Answer(value=value, low=low, high=high, **cells))
 
     def get(self, subject: str, answer: str, at: float | str = "") -> Answer | None:

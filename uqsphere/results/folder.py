@@ -2,8 +2,6 @@
 followed or run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import hashlib

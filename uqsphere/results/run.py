@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,26 +22,28 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from uqsphere.report.figures import Plots
+    from uqsphere.study import Study
     from uqsphere.uq.surrogate import Expansion
 
 #: rows that an expansion is fitted to at most
 MOST_FITTED = 512
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Run:
     """A run that has ended.
 
     results : what results.json holds
     folder : where it lies; None for a run that was not given a folder
-    columns : the samples, for a run of this process
-    live : what only a run of this process has: expansions and pairs, by quantity
+    columns, study, pairs_of : what only a run of this process has: its samples, its study, and the
+        runs behind the indices of a quantity, if there are such
     """
 
     results: Results
     folder: Path | None = None
-    columns: Mapping[str, Array | Flags] | None = field(default=None, repr=False)
-    live: dict[str, Any] = field(default_factory=dict, repr=False)
+    columns: Mapping[str, Array | Flags] | None = None
+    study: Study | None = None
+    pairs_of: Callable[[str], Any] | None = None
 
     def __repr__(self) -> str:
         study = self.results.study
@@ -87,15 +89,15 @@ class Run:
 
         Raises UsageError for a quantity that the run has not.
         """
-        parts: dict[str, pd.Series] = {}
-        for order in ("first", "total"):
-            rows = self._rows(quantity, f"sobol_{order}").set_index("at")
-            for end, name in (("value", order), ("low", f"{order}_low"), ("high", f"{order}_high")):
-                parts[name] = rows[end]
-        import pandas as pd
-
-        indices = pd.DataFrame(parts | {"method": rows["method"]})
-        return indices.rename_axis("input")
+        first, total = (
+            self._rows(quantity, f"sobol_{order}")
+            .set_index("at")
+            .rename_axis("input")
+            .rename(columns={"value": order, "low": f"{order}_low", "high": f"{order}_high"})
+            for order in ("first", "total")
+        )
+        ends = first[["first", "first_low", "first_high"]]
+        return ends.join(total[["total", "total_low", "total_high", "method"]])
 
     def quantiles(self, quantity: str) -> pd.DataFrame:
         """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in
@@ -132,33 +134,21 @@ class Run:
         Raises UsageError where there is none: the quantity does not vary, or has no plain value in
         every row.
         """
-        made = self.live["fit"](quantity) if self.live else self._fitted_again(quantity)
-        if made is None:
-            raise UsageError(
-                f"no expansion of {quantity!r}: it does not vary, or has no plain value in every "
-                "row"
-            )
-        return made
-
-    def _fitted_again(self, quantity: str) -> Expansion | None:
-        """The expansion by the study and the samples of the folder."""
-        from uqsphere.study import load_study
         from uqsphere.uq.surrogate import fit_expansion
 
-        assert self.folder is not None
-        text = (self.folder / "study.toml").read_text(encoding="utf-8")
-        overrides = self.results.study.overrides
-        study = load_study(self.folder / "files" / "study.toml", overrides, text=text)
+        study = self.study
+        if study is None:
+            assert self.folder is not None
+            study = stored_study(self.folder, self.results)
         rows = self.samples.head(MOST_FITTED)
         names = list(study.random)
-        if quantity not in rows or not names or not {*names} <= {*rows}:
-            return None
-        y = rows[quantity].to_numpy(dtype=float)
-        censored = "censored" in rows and bool(rows["censored"].any())
-        if censored or not np.isfinite(y).all() or not np.ptp(y) > 0.0:
-            return None
-        joint = study.inputs().only(tuple(names))
-        return fit_expansion(rows[names].to_numpy(dtype=float), y, joint, seed=study.seed)
+        if names and quantity in rows and not rows.get("censored", np.zeros(1)).any():
+            x, y = (rows[part].to_numpy(dtype=float) for part in (names, quantity))
+            if np.isfinite(y).all() and np.ptp(y) > 0.0:
+                return fit_expansion(x, y, study.inputs().only(names), seed=study.seed)
+        raise UsageError(
+            f"no expansion of {quantity!r}: it does not vary, or has no plain value in every row"
+        )
 
     def pairs(self, quantity: str) -> Any:
         """The model runs behind the indices of a quantity, as SALib takes them: `problem`, `rows`
@@ -168,7 +158,9 @@ class Run:
         Raises UsageError where there are none: the indices are those of the expansion, or the run
         was read from a folder.
         """
-        made = self.live["pairs"](quantity) if self.live else None
+        made = None
+        if self.pairs_of is not None:
+            made = self.pairs_of(quantity)
         if made is None:
             raise UsageError(
                 f"no pairs of runs of {quantity!r}: "
@@ -207,6 +199,14 @@ class Run:
             raise UsageError(f"the run has no {answer} of {limit!r} at {at!r}")
         ends = ["low", "high", "low_unseen", "high_unseen"]
         return rows.iloc[0][["value", *ends, "method", "note"]]
+
+
+def stored_study(folder: Path, results: Results) -> Study:
+    """The study that a result folder keeps beside its results; raises OSError, StudyError."""
+    from uqsphere.study import load_study
+
+    text = (folder / "study.toml").read_text(encoding="utf-8")
+    return load_study(folder / "files" / "study.toml", results.study.overrides, text=text)
 
 
 def open_run(folder: str | Path) -> Run:

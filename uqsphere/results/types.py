@@ -4,8 +4,6 @@ Numbers are in SI units; one that does not exist is None.  A decision holds valu
 sentences are made of them in `uqsphere.report`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from enum import StrEnum
@@ -40,6 +38,10 @@ class Part(BaseModel):
 # --- answers --------------------------------------------------------------------------------------
 
 
+#: unit of the answers that have that of their quantity
+OF_QUANTITY: Final = "the quantity's"
+
+
 class Kind(StrEnum):
     """Every kind of answer, and what it means."""
 
@@ -58,9 +60,9 @@ class Kind(StrEnum):
     #: of the value: a unit, or whose unit it is
     unit: str
 
-    MEAN = "mean", "quantity", "mean", "", "the quantity's"
-    SD = "sd", "quantity", "standard deviation", "", "the quantity's"
-    QUANTILE = "quantile", "quantity", "quantile", "probability", "the quantity's"
+    MEAN = "mean", "quantity", "mean", "", OF_QUANTITY
+    SD = "sd", "quantity", "standard deviation", "", OF_QUANTITY
+    QUANTILE = "quantile", "quantity", "quantile", "probability", OF_QUANTITY
     CENSORED_SHARE = (
         "censored_share",
         "quantity",
@@ -144,7 +146,7 @@ class Kind(StrEnum):
         "probability",
         "J",
     )
-    MORRIS = "morris", "quantity", "Morris: mean absolute elementary effect", "input", "1"
+    MORRIS = "morris", "quantity", "Morris: mean absolute elementary effect", "input", OF_QUANTITY
     DELTA = "delta", "quantity", "Borgonovo's delta", "input", "1"
     PAWN = "pawn", "quantity", "PAWN: median Kolmogorov-Smirnov distance", "input", "1"
     HDMR = "hdmr", "quantity", "total index by RS-HDMR", "input", "1"
