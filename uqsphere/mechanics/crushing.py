@@ -56,7 +56,7 @@ def value_at(
     if "partner" in own:
         # energy of the sphere here, and of the counter-bodies in the study's own rig
         energy = (share + modulus * own["partner"]) * stored
-    columns = Columns(
+    columns: Columns = Columns(
         {
             **{f"sphere.{key}": value for key, value in own.items()},
             "sphere.radius": radius,

@@ -7,12 +7,12 @@ all of it is in ``criteria.toml``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from uqsphere.mechanics.scene import Partner, Scene, answered
 from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
 
-#: source of a column: numbers, a function that computes them when read, or the columns of all
-#: contacts
-ColumnSource: TypeAlias = "float | Array | Callable[[], Values] | list[Columns]"
 #: scale factors of a scene that formulas read in addition to its columns
 _SCALES = (
     "modulus",
@@ -86,21 +83,19 @@ FORMULAS: dict[str, Callable[[Mapping[str, Values]], Values]] = {
 }
 
 
-class Columns(Mapping[str, Values]):
+class Columns(dict[str, Any]):
     """Columns of n rows by name, (n,) each, and every quantity of `OUTPUTS`, computed when read.
 
-    sources: columns, or functions without arguments that return them.
+    A value is a column, or a function without arguments that returns it when it is first read.
     """
 
-    def __init__(self, sources: Mapping[str, ColumnSource]) -> None:
-        self._sources: dict[str, Any] = dict(sources)
-
     def __getitem__(self, name: str) -> Values:
-        source = self._sources.get(name)
+        source = self.get(name)
         if source is None or callable(source):
             with np.errstate(all="ignore"):
-                self._sources[name] = self._quantity(name) if source is None else source()
-        return self._sources[name]
+                source = self._quantity(name) if source is None else source()
+            self[name] = source
+        return source
 
     def _quantity(self, name: str) -> Values:
         if name in FORMULAS:
@@ -109,20 +104,11 @@ class Columns(Mapping[str, Values]):
             return demand(_DEMAND_OF[name], self)
         return self[OUTPUTS[name].needs[0]]
 
-    def __contains__(self, name: object) -> bool:
-        return name in self._sources
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._sources)
-
-    def __len__(self) -> int:
-        return len(self._sources)
-
-
-def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, ColumnSource]:
+def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Any]:
     """Numbers and scale factors of some rows of a scene."""
-    scales = {name: getattr(scene.scales, name)[rows] for name in _SCALES}
-    return {**{name: column[rows] for name, column in scene.columns.items()}, **scales}
+    numbers = {**scene.columns, **{name: getattr(scene.scales, name) for name in _SCALES}}
+    return {name: column[rows] for name, column in numbers.items()}
 
 
 def _roots(names: Iterable[str], demands: Demands) -> set[str]:
@@ -176,47 +162,46 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
     }
 
 
-def _side(scene: Scene, pole: int, x: Array) -> dict[str, Any]:
+def _side(scene: Scene, partner: Partner, x: Array) -> Columns:
     """Columns of one contact at its peak approach x alpha_c: force, pressures, radius, energy."""
-    partner = scene.partners[pole]
     scales = scene.scales
-    assert partner is not None
     modulus = partner.modulus
     radius = partner.effective_radius
     beta = partner.hertz_constant
     approach = scales.approach * x
     if partner.face is not None:
         state = partner.face.pressed(approach / partner.face.onset_approach)
-        return {
+        return Columns(
             **pressures_of(state, modulus, radius, partner.takes),
-            "P_max": state.force,
-            "p_hertz": contact.pressure_at_force(state.force, modulus, radius),
-            "dent_left": state.dent,
-            "dissipated": state.plastic,
-            "stored": state.stored,
-        }
+            P_max=state.force,
+            p_hertz=contact.pressure_at_force(state.force, modulus, radius),
+            dent_left=state.dent,
+            dissipated=state.plastic,
+            stored=state.stored,
+        )
     force = scales.force * (x * np.sqrt(x))
     if partner is not scene.struck:
         force = force * (beta / scales.hertz_constant)
-    elastic = Columns({"p": lambda: contact.pressure_at_force(force, modulus, radius)})
-    return {
-        "P_max": force,
-        "alpha_max": approach,
-        "a_max": lambda: contact.contact_radius(approach, radius),
-        "p_mean": lambda: 2.0 / 3.0 * elastic["p"],
-        **dict.fromkeys(("p_max", "p_hertz", "p_field", "p_rim"), lambda: elastic["p"]),
+    side: Columns = Columns(
+        P_max=force,
+        alpha_max=approach,
+        a_max=lambda: contact.contact_radius(approach, radius),
+        p_hertz=lambda: contact.pressure_at_force(force, modulus, radius),
+        p_mean=lambda: 2.0 / 3.0 * side["p_hertz"],
+        **dict.fromkeys(("p_max", "p_field", "p_rim"), lambda: side["p_hertz"]),
         **dict.fromkeys(("dent_left", "dissipated"), np.zeros(len(scene))),
-        "stored": lambda: contact.contact_energy(approach, beta),
-    }
+        stored=lambda: contact.contact_energy(approach, beta),
+    )
+    return side
 
 
 #: columns of a row that are the largest over its contacts, each separately
 _LARGEST = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
 #: force at the other contact when A, or B, is at its peak
-_OPPOSITE = ("force_b_at_a", "force_a_at_b")
+_OPPOSITE = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
-def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
+def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     """Columns of contacts that differ or yield: of each contact ("sides"), and of the row.
 
     The stress inside the sphere depends on the force at the other contact as well: `balance` is
@@ -226,21 +211,20 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSou
         return {}
     force = scene.scales.force
     single = len(scene.there) == 1
-    poles = [pole for pole, partner in enumerate(scene.partners) if partner is not None]
     sides = []
-    for pole in poles:
-        side = _side(scene, pole, tracked[f"x_{'ab'[pole]}"])
+    for partner in scene.there:
+        side = _side(scene, partner, tracked[f"x_{partner.pole}"])
         if not scene.by_wave:
-            other = 0.0 if single else force * tracked[_OPPOSITE[pole]]
+            other = 0.0 if single else force * tracked[_OPPOSITE[partner.pole]]
             side["balance"] = np.where(side["P_max"] > 0.0, other / side["P_max"], 0.0)
-        sides.append(Columns(side))
+        sides.append(side)
 
-    def largest(column: str) -> Array:
-        return np.asarray(np.maximum.reduce([side[column] for side in sides]))
+    def largest(column: str) -> Values:
+        return np.maximum.reduce([side[column] for side in sides])
 
-    def first_peak() -> Array:
-        firsts = [Columns(_side(scene, pole, tracked[f"x_first_{'ab'[pole]}"])) for pole in poles]
-        return np.asarray(np.maximum.reduce([first["p_max"] for first in firsts]))
+    def first_peak() -> Values:
+        firsts = [_side(scene, p, tracked[f"x_first_{p.pole}"])["p_max"] for p in scene.there]
+        return np.maximum.reduce(firsts)
 
     def energy_of_sphere() -> Values:
         """chi of the energy in each contact, and plastic work where the sphere itself yields."""
@@ -252,20 +236,15 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSou
             energy = unit * tracked["stored_sphere"]
         else:
             energy = sum(partner.share * side["stored"] for partner, side in contacts)
-        if all(partner.face is None for partner in scene.there):
-            return energy
-        return energy + sum(
-            np.where(partner.takes > 0.0, partner.takes * side["dissipated"], 0.0)
-            for partner, side in contacts
-        )
+        return energy + sum(partner.takes * side["dissipated"] for partner, side in contacts)
 
-    columns: dict[str, ColumnSource] = {
+    columns: dict[str, Any] = {
         "sides": sides,
         **{column: partial(largest, column) for column in _LARGEST},
         "energy_sphere": energy_of_sphere,
         "dissipated": lambda: sum(side["dissipated"] for side in sides),
     }
-    if f"x_first_{'ab'[poles[0]]}" in tracked:
+    if f"x_first_{scene.struck.pole}" in tracked:
         columns["first_peak"] = first_peak
     if single:
         # a single contact loads the centre by half
@@ -277,7 +256,7 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSou
     return columns
 
 
-def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSource]:
+def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     """Columns of an impact: its energy, speeds after it, energy radiated as waves."""
     if not scene.setup.by_impact:
         return {}
@@ -294,12 +273,13 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, ColumnSo
         if radiated is not None:
             return radiated * offered
         total = np.zeros(len(scene))
-        for partner, name in zip(scene.partners, ("carried_a", "carried_b"), strict=True):
-            if partner is not None and _carries(partner) and name in tracked:
+        for partner in scene.there:
+            name = f"carried_{partner.pole}"
+            if _carries(partner) and name in tracked:
                 total = total + scales.force**2 * scales.time / partner.impedance * tracked[name]
         return total
 
-    columns: dict[str, ColumnSource] = {"offered": offered, "carried_off": carried_off}
+    columns: dict[str, Any] = {"offered": offered, "carried_off": carried_off}
     if behind is not None:
         return columns | dict.fromkeys(("leaving", "parting_speed"), -tracked["end_speed_a"])
     back = -tracked["end_speed"]
@@ -429,14 +409,14 @@ def merged_answers(*parts: tuple[Places, SceneAnswers]) -> SceneAnswers:
     return SceneAnswers(**joined([vars(part) for _, part in parts]))
 
 
-def _value(scene: Scene, columns: Columns, quantity: str) -> Array:
+def _value(scene: Scene, columns: Columns, quantity: str) -> Values:
     why = absent_in(scene, quantity)
     if why.startswith(quantity):
         raise ValueError(why)
     if why:
         raise ValueError(f"{quantity} is not available: {why}")
     if quantity not in scene.demands:
-        return np.asarray(columns[quantity])
+        return columns[quantity]
     key, parameters = scene.demands[quantity]
     return demand(CRITERIA[key], columns, parameters)
 

@@ -97,7 +97,8 @@ class Scales:
 class Partner:
     """The counter-body at one contact; (n,) each.
 
-    table: table of the study with its numbers.  kind: `bar`, `plate`, `thick`, `mass` or `platen`.
+    pole: `a` or `b`, of contact A or B.  table: table of the study with its numbers.  kind: `bar`,
+    `plate`, `thick`, `mass` or `platen`.
     modulus, effective_radius, hertz_constant: E* [Pa], r_eff [m] and beta [N/m^1.5] of the contact.
     share: chi = E* (1 - nu²)/E, the sphere's fraction of the elastic energy, (R22).  impedance: Z
     [N s/m], infinite if it is rigid.  mass: [kg], infinite if it is not free.  round_trip,
@@ -106,6 +107,7 @@ class Partner:
     the plastic work, 1 if the sphere itself yields.
     """
 
+    pole: str
     table: str
     kind: str
     modulus: Array
@@ -508,6 +510,7 @@ def _partner(scene: Scene, pole: int) -> Partner | None:
                 face = Face(**law._asdict(), modulus=modulus, effective_radius=radius)
                 takes = np.where(sphere_body(c).onset < body.onset, 1.0, 0.0)
         return Partner(
+            pole="ab"[pole],
             table=table,
             kind=kind,
             modulus=modulus,

@@ -14,9 +14,9 @@ from functools import reduce
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import CRITERIA, Parameters, ranges_of
+from uqsphere.mechanics.criteria import CRITERIA, Parameters, in_range, ranges_of
 from uqsphere.mechanics.inputs import declared
 from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
 from uqsphere.mechanics.rigs import GRAVITY, sphere_body, terminal_speed
@@ -86,7 +86,7 @@ class ValidityCheck:
     @property
     def grade(self) -> int:
         """The highest grade that any row has."""
-        return max((grade for grade in (1, 2, 3) if self.shares[grade - 1] > 0.0), default=0)
+        return int(max(np.flatnonzero(self.shares) + 1, default=0))
 
     @property
     def share(self) -> float:
@@ -94,7 +94,264 @@ class ValidityCheck:
         return sum(self.shares)
 
 
-# --- what the checks measure: functions of a scene and its answers --------------------------------
+# --- what the checks measure ----------------------------------------------------------------------
+
+
+class Measures:
+    """The number that each check measures in a batch: a method for every rule, named by its key.
+
+    It is (n,), with NaN for rows that the check does not apply to; None for a scene that it does
+    not apply to.  Sentences on a breach end with what a method of `ADVICE` adds.
+    """
+
+    def __init__(self, scene: Scene, answers: SceneAnswers) -> None:
+        self.scene = scene
+        self.columns = scene.columns
+        self.answers = answers
+        self.values = answers.values
+        self.good = answered(answers.status)
+        self.sphere = sphere_body(scene.columns)
+        self.partner = softest_partner(scene)
+        self.faces = [partner.face for partner in scene.there if partner.face is not None]
+
+    # --- contact and yield ---
+
+    def small_contact(self) -> Values:
+        return self.values["a_max"] / self.columns["sphere.radius"]
+
+    def one_sided_field(self) -> Values:
+        imbalance = self.values.get("force_imbalance", np.inf)
+        return np.where(imbalance > 0.1, self.small_contact(), np.nan)
+
+    def contact_on_bar_end(self) -> Values | None:
+        contact_diameter = 2.0 * self.values["a_max"]
+        return _extreme(np.maximum, [contact_diameter / diameter for diameter, _ in self._bars()])
+
+    def bar_yield_contact(self) -> Values:
+        return _over_onset(self.values["p_max"], self.partner.onset)
+
+    def sphere_yield_contact(self) -> Values:
+        return _over_onset(self.values["p_max"], self.sphere.onset)
+
+    def face_yield(self) -> Values | None:
+        """Hertz pressure at peak force / onset pressure of the counter-bodies; the largest."""
+        ratios = []
+        for partner in self.scene.there:
+            radius = partner.effective_radius
+            hertz = contact.pressure_at_force(self.values["P_max"], partner.modulus, radius)
+            ratios.append(_over_onset(hertz, partner.body.onset))
+        return _extreme(np.fmax, ratios)
+
+    def _partner_estimate(self) -> str:
+        return self._static_estimate(self.partner)
+
+    def _sphere_estimate(self) -> str:
+        return self._static_estimate(self.sphere)
+
+    def _static_estimate(self, body: ContactParameters) -> str:
+        """Pressure and indentation, by statics, of a body that was taken as elastic."""
+        scales = self.scene.scales
+        law = Face(
+            **body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius
+        )
+        rows = np.flatnonzero(self.good & np.isfinite(body.onset) & np.isfinite(body.hardness))
+        face = law.at(rows)
+        press = face.pressed(face.depth_at(self.values["P_max"][rows]))
+        centre = press.centre[np.isfinite(press.centre)]
+        dent = press.dent[np.isfinite(press.dent)]
+        if len(centre) == 0 or len(dent) == 0:
+            return ""
+        pressure = f"{centre.max() / 1e9:.3g} GPa"
+        depth = f"{1e6 * dent.max():.2g} um"
+        return f". Static plastic estimate: p_max up to {pressure}, indentation {depth}"
+
+    def _at_peak(self, number: Callable[[Face, Array], Array]) -> Values | None:
+        """A number of each contact that yields, at the depth of the peak force; the largest."""
+        force = self.values["P_max"]
+        return _extreme(np.maximum, [number(face, face.depth_at(force)) for face in self.faces])
+
+    def dented(self) -> Values | None:
+        return self._at_peak(lambda face, depth: depth)
+
+    plastic_range = pressure_shape = dented
+
+    def deep_dent(self) -> Values | None:
+        return self._at_peak(lambda face, depth: face.pressed(depth).dent / face.effective_radius)
+
+    def _dents(self) -> str:
+        depths = self._at_peak(lambda face, depth: face.pressed(depth).dent)
+        assert depths is not None
+        deepest = np.nanmax(depths[self.good])
+        text = f". Residual indentation: up to {1e6 * deepest:.2g} um"
+        flats_yield = (self.partner.onset <= self.sphere.onset).any()
+        # faces that are used again: those of bars and platens
+        if flats_yield and deepest > _RELAP and self.scene.setup.mover in ("striker", ""):
+            text += "; lap the flat faces again"
+        return text
+
+    def softer_body(self) -> Values | None:
+        """Onset ratio of the harder and the softer body, the least of the contacts that yield.
+
+        It is 1 where the body with the higher onset has the lower hardness.
+        """
+        sphere = self.sphere
+        ratios = []
+        for partner in self.scene.there:
+            if partner.face is not None:
+                body = partner.body
+                ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
+                crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
+                ratios.append(np.where(crossed & np.isfinite(ratio), 1.0, ratio))
+        return _extreme(np.fmin, ratios)
+
+    def insert_thickness(self) -> Values:
+        return 3.0 * self.values["a_max"] / self.scene.column("bars.insert_thickness")
+
+    # --- waves in the sphere, in bars and in plates ---
+
+    def _bars(self) -> list[tuple[Array, Array]]:
+        """Diameters and wave speeds of the counter-bodies that are bars."""
+        pairs = []
+        for partner in self.scene.there:
+            if partner.kind == "bar":
+                diameter, E, density = self.scene.numbers(partner.table, "diameter E density")
+                pairs.append((diameter, bars.wave_speed(E, density)))
+        return pairs
+
+    def bar_yield_pulse(self) -> Values:
+        c = self.columns
+        level: Values = 1.0
+        ratio = self.scene.striker_ratio
+        if self.scene.shape == "two_peak":
+            level = np.maximum(c["pulse.level1"], c["pulse.level2"])
+        if ratio is not None:
+            level = 2.0 * ratio / (1.0 + ratio)
+        stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
+        return _over_onset(stress, self.scene.column("bars.yield_strength"))
+
+    def force_balance(self) -> Values:
+        measured = self.values["force_imbalance"]
+        if np.any(measured > 0.0):
+            return measured
+        # forces of the massless model are balanced by assumption: the mass number gives an estimate
+        factor, power = _IMBALANCE
+        scales = self.scene.scales
+        return factor * scales.mass_number**power * scales.force / self.values["P_max"]
+
+    def quasi_static_sphere(self) -> Values:
+        return self._transits("rise_time")
+
+    def quasi_static_impact(self) -> Values:
+        return self._transits("loaded_time")
+
+    def _transits(self, time: str) -> Values:
+        """Wave transits of the sphere, 2 r/sqrt(E/rho), in a time."""
+        c = self.columns
+        speed = bars.wave_speed(c["sphere.E"], c["sphere.density"])
+        return self.values[time] * speed / (2.0 * c["sphere.radius"])
+
+    def one_dimensional_rod(self) -> Values | None:
+        rise = self.values["rise_time"]
+        ratios = [rise * speed / (0.5 * diameter) for diameter, speed in self._bars()]
+        return _extreme(np.minimum, ratios)
+
+    def one_dimensional_bars(self) -> Values | None:
+        scene = self.scene
+        breaks = scene.pulse.breaks
+        if scene.shape in ("rectangular", "step"):
+            return None
+        rise: Values = 0.5 * scene.pulse.end
+        if scene.shape in ("trapezoid", "ramp"):
+            rise = np.minimum(self.columns["pulse.rise"], scene.column("pulse.fall", np.inf))
+        elif scene.record is not None:
+            rise = scene.record.rise / 0.8
+        elif scene.shape == "two_peak":
+            rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
+        diameter, speed = self._bars()[0]
+        return rise * speed / (0.5 * diameter)
+
+    def ideal_pulse(self) -> Values | None:
+        if self.scene.shape not in ("rectangular", "step"):
+            return None
+        return np.zeros(len(self.scene))
+
+    def force_level(self) -> Values:
+        return self.scene.scales.pulse_number
+
+    def before_reflection(self) -> Values | None:
+        scene = self.scene
+        if not scene.infinite:
+            return None
+        # an end that is given as absorbing reflects nothing; one that is not given may
+        ends = [scene.column(f"bars.{bar}_end", 1.0) for bar in ("incident", "receiving")]
+        first = np.where(np.transpose(ends) != 0.0, scene.round_trips, np.inf).min(axis=1)
+        return self.answers.record / np.where(np.isfinite(first), first, np.nan)
+
+    def echo_in_contact(self) -> Values | None:
+        if not np.any(np.isfinite(self.scene.first_echo)):
+            return None
+        return self.values["loaded_time"] / self.scene.first_echo
+
+    def _plate(self) -> list[Array] | None:
+        """E, nu, density, thickness and width of the counter-body that is a plate."""
+        for partner in self.scene.there:
+            if partner.kind == "plate":
+                return self.scene.numbers(partner.table, "E nu density thickness width")
+        return None
+
+    def thin_plate(self) -> Values | None:
+        """Thickness over contact radius, or wave transits of the thickness if fewer, but at least
+        2.
+
+        A plate that is thick for the contact time is no failure: the kind `thick` fits it better.
+        """
+        plate = self._plate()
+        if plate is None:
+            return None
+        E, nu, density, thickness, _ = plate
+        sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
+        transits = self.values["loaded_time"] * sound / (2.0 * thickness)
+        return np.minimum(thickness / self.values["a_max"], np.maximum(transits, 2.0))
+
+    def plate_edge(self) -> Values | None:
+        """Contact time over the return time of the flexural wave from the plate edge.
+
+        The group speed is that of a half period equal to the contact time t, c_g = 2 (D/(rho
+        h))^(1/4) sqrt(pi/t), over a path of one width.
+        """
+        plate = self._plate()
+        if plate is None:
+            return None
+        E, nu, density, thickness, width = plate
+        loaded = self.values["loaded_time"]
+        bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
+        return loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width
+
+    def wave_loss(self) -> Values | None:
+        return loss_to_waves(self.scene)
+
+    # --- what the model leaves out, and how well it is solved ---
+
+    def gravity(self) -> Values:
+        behind = self.scene.partners[0]
+        moving = self.scene.scales.mass
+        if behind is not None:
+            moving = moving + behind.mass
+        return moving * GRAVITY / self.values["P_max"]
+
+    def drag(self) -> Values:
+        c = self.columns
+        terminal = terminal_speed(c["sphere.radius"], c["sphere.density"])
+        return c["rig.drop_height"] * GRAVITY / terminal**2
+
+    def oblique(self) -> Values:
+        return np.rad2deg(self.columns["rig.angle"])
+
+    def grazing_contact(self) -> Values:
+        return self.answers.grazes
+
+    def chatter(self) -> Values:
+        return self.values["retouches"]
 
 
 def softest_partner(scene: Scene) -> ContactParameters:
@@ -102,292 +359,24 @@ def softest_partner(scene: Scene) -> ContactParameters:
     return reduce(softer, [partner.body for partner in scene.there])
 
 
-def _over_onset(pressure: Array, onset: Array) -> Array:
+def _over_onset(pressure: Values, onset: Array) -> Values:
     """Contact pressure / onset pressure; NaN for a body that does not yield."""
-    return np.asarray(pressure / np.where((onset > 0.0) & np.isfinite(onset), onset, np.nan))
+    return pressure / np.where((onset > 0.0) & np.isfinite(onset), onset, np.nan)
 
 
-def _over_partner_onset(scene: Scene, answers: SceneAnswers) -> Array:
-    """Hertz pressure at peak force / onset pressure of the counter-bodies; the largest."""
-    force = answers.values["P_max"]
-    ratios = [
-        _over_onset(
-            contact.pressure_at_force(force, partner.modulus, partner.effective_radius),
-            partner.body.onset,
-        )
-        for partner in scene.there
-    ]
-    return np.asarray(np.fmax.reduce(ratios))
-
-
-def _static_estimate(
-    scene: Scene, answers: SceneAnswers, good: Flags, body: ContactParameters
-) -> str:
-    """Pressure and indentation, by statics, of a body that was taken as elastic."""
-    scales = scene.scales
-    law = Face(**body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius)
-    rows = np.flatnonzero(good & np.isfinite(body.onset) & np.isfinite(body.hardness))
-    face = law.at(rows)
-    press = face.pressed(face.depth_at(answers.values["P_max"][rows]))
-    centre = press.centre[np.isfinite(press.centre)]
-    dent = press.dent[np.isfinite(press.dent)]
-    if len(centre) == 0 or len(dent) == 0:
-        return ""
-    pressure = f"{centre.max() / 1e9:.3g} GPa"
-    depth = f"{1e6 * dent.max():.2g} um"
-    return f". Static plastic estimate: p_max up to {pressure}, indentation {depth}"
-
-
-def _at_peak(
-    scene: Scene, answers: SceneAnswers, number: Callable[[Face, Array], Array]
-) -> Array | None:
-    """A number of each contact that yields, at the depth of the peak force; the largest."""
-    faces = [partner.face for partner in scene.there if partner.face is not None]
-    if not faces:
+def _extreme(choose: np.ufunc, numbers: Sequence[Array]) -> Values | None:
+    """The largest or smallest of the numbers of several contacts; None without one."""
+    if not numbers:
         return None
-    force = answers.values["P_max"]
-    return np.asarray(np.maximum.reduce([number(face, face.depth_at(force)) for face in faces]))
+    return choose.reduce(numbers)
 
 
-def _depth(scene: Scene, answers: SceneAnswers) -> Array | None:
-    return _at_peak(scene, answers, lambda face, depth: depth)
-
-
-def _relative_dent(scene: Scene, answers: SceneAnswers) -> Array | None:
-    return _at_peak(
-        scene, answers, lambda face, depth: face.pressed(depth).dent / face.effective_radius
-    )
-
-
-def _dents(scene: Scene, answers: SceneAnswers, good: Flags) -> str:
-    depths = _at_peak(scene, answers, lambda face, depth: face.pressed(depth).dent)
-    assert depths is not None
-    deepest = np.nanmax(depths[good])
-    text = f". Residual indentation: up to {1e6 * deepest:.2g} um"
-    flats_yield = bool((softest_partner(scene).onset <= sphere_body(scene.columns).onset).any())
-    # faces that are used again: those of bars and platens
-    if flats_yield and deepest > _RELAP and scene.setup.mover in ("striker", ""):
-        text += "; lap the flat faces again"
-    return text
-
-
-def _other_onset(scene: Scene, answers: SceneAnswers) -> Array | None:
-    """Onset ratio of the harder and the softer body, the least of the contacts that yield.
-
-    It is 1 where the body with the higher onset has the lower hardness.
-    """
-    sphere = sphere_body(scene.columns)
-    ratios = []
-    for partner in scene.there:
-        if partner.face is not None:
-            body = partner.body
-            ratio = np.maximum(body.onset, sphere.onset) / np.minimum(body.onset, sphere.onset)
-            crossed = (body.onset < sphere.onset) != (body.hardness < sphere.hardness)
-            ratios.append(np.where(crossed & np.isfinite(ratio), 1.0, ratio))
-    if not ratios:
-        return None
-    return np.asarray(np.fmin.reduce(ratios))
-
-
-def _pulse_over_yield(scene: Scene, answers: SceneAnswers) -> Array:
-    c = scene.columns
-    level = np.ones(len(scene))
-    if scene.shape == "two_peak":
-        level = np.maximum(c["pulse.level1"], c["pulse.level2"])
-    if scene.striker_ratio is not None:
-        level = 2.0 * scene.striker_ratio / (1.0 + scene.striker_ratio)
-    stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
-    return _over_onset(stress, scene.column("bars.yield_strength"))
-
-
-def _imbalance(scene: Scene, answers: SceneAnswers) -> Array:
-    measured = answers.values["force_imbalance"]
-    if np.any(measured > 0.0):
-        return measured
-    # forces of the massless model are balanced by assumption: the mass number gives an estimate
-    factor, power = _IMBALANCE
-    estimate = factor * scene.scales.mass_number**power
-    return estimate * scene.scales.force / answers.values["P_max"]
-
-
-def _transits(scene: Scene, time: Array) -> Array:
-    """Wave transits of the sphere, 2 r/sqrt(E/rho), in a time."""
-    c = scene.columns
-    transit = 2.0 * c["sphere.radius"] / bars.wave_speed(c["sphere.E"], c["sphere.density"])
-    return np.asarray(time / transit)
-
-
-def _bars(scene: Scene) -> list[tuple[Array, Array]]:
-    """Diameters and wave speeds of the counter-bodies that are bars."""
-    pairs = []
-    for partner in scene.there:
-        if partner.kind == "bar":
-            diameter, E, density = scene.numbers(partner.table, "diameter E density")
-            pairs.append((diameter, bars.wave_speed(E, density)))
-    return pairs
-
-
-def _contact_over_bar(scene: Scene, answers: SceneAnswers) -> Array | None:
-    ratios = [2.0 * answers.values["a_max"] / diameter for diameter, _ in _bars(scene)]
-    if not ratios:
-        return None
-    return np.asarray(np.maximum.reduce(ratios))
-
-
-def _rod_rise(scene: Scene, answers: SceneAnswers) -> Array | None:
-    rise = answers.values["rise_time"]
-    ratios = [rise * speed / (0.5 * diameter) for diameter, speed in _bars(scene)]
-    if not ratios:
-        return None
-    return np.asarray(np.minimum.reduce(ratios))
-
-
-def _pulse_rise(scene: Scene, answers: SceneAnswers) -> Array | None:
-    c = scene.columns
-    breaks = scene.pulse.breaks
-    if scene.shape in ("rectangular", "step"):
-        return None
-    if scene.shape == "trapezoid":
-        rise = np.minimum(c["pulse.rise"], c["pulse.fall"])
-    elif scene.record is not None:
-        rise = np.full(len(scene), scene.record.rise / 0.8)
-    elif scene.shape == "ramp":
-        rise = c["pulse.rise"]
-    elif scene.shape == "two_peak":
-        rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
-    else:
-        rise = 0.5 * scene.pulse.end
-    return np.asarray(
-        rise * bars.wave_speed(c["bars.E"], c["bars.density"]) / (0.5 * c["bars.diameter"])
-    )
-
-
-def _ideal_pulse(scene: Scene, answers: SceneAnswers) -> Array | None:
-    if scene.shape not in ("rectangular", "step"):
-        return None
-    return np.zeros(len(scene))
-
-
-def _record_over_echo(scene: Scene, answers: SceneAnswers) -> Array | None:
-    if not scene.infinite:
-        return None
-    # an end that is given as absorbing reflects nothing; one that is not given may
-    echoing = [scene.column(f"bars.{bar}_end", 1.0) != 0.0 for bar in ("incident", "receiving")]
-    first = np.where(np.stack(echoing, axis=1), scene.round_trips, np.inf).min(axis=1)
-    return np.asarray(answers.record / np.where(np.isfinite(first), first, np.nan))
-
-
-def _echo_under_load(scene: Scene, answers: SceneAnswers) -> Array | None:
-    if not np.any(np.isfinite(scene.first_echo)):
-        return None
-    return answers.values["loaded_time"] / scene.first_echo
-
-
-def _plate(scene: Scene) -> list[Array] | None:
-    """E, nu, density, thickness and width of the counter-body that is a plate."""
-    for partner in scene.there:
-        if partner.kind == "plate":
-            return scene.numbers(partner.table, "E nu density thickness width")
-    return None
-
-
-def _thin_plate(scene: Scene, answers: SceneAnswers) -> Array | None:
-    """Thickness over contact radius, or wave transits of the thickness if fewer, but at least 2.
-
-    A plate that is thick for the contact time is no failure: the kind `thick` fits it better.
-    """
-    plate = _plate(scene)
-    if plate is None:
-        return None
-    E, nu, density, thickness, _ = plate
-    sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
-    transits = answers.values["loaded_time"] * sound / (2.0 * thickness)
-    return np.asarray(np.minimum(thickness / answers.values["a_max"], np.maximum(transits, 2.0)))
-
-
-def _plate_edge(scene: Scene, answers: SceneAnswers) -> Array | None:
-    """Contact time over the return time of the flexural wave from the plate edge.
-
-    The group speed is that of a half period equal to the contact time t, c_g = 2 (D/(rho h))^(1/4)
-    sqrt(pi/t), over a path of one width.
-    """
-    plate = _plate(scene)
-    if plate is None:
-        return None
-    E, nu, density, thickness, width = plate
-    loaded = answers.values["loaded_time"]
-    bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
-    return np.asarray(loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width)
-
-
-def _gravity(scene: Scene, answers: SceneAnswers) -> Array:
-    behind = scene.partners[0]
-    moving = scene.scales.mass
-    if behind is not None:
-        moving = moving + behind.mass
-    return moving * GRAVITY / answers.values["P_max"]
-
-
-def _drag(scene: Scene, answers: SceneAnswers) -> Array:
-    c = scene.columns
-    terminal = terminal_speed(c["sphere.radius"], c["sphere.density"])
-    return c["rig.drop_height"] * GRAVITY / terminal**2
-
-
-def _small_contact(scene: Scene, answers: SceneAnswers) -> Array:
-    return answers.values["a_max"] / scene.columns["sphere.radius"]
-
-
-def _one_sided(scene: Scene, answers: SceneAnswers) -> Array:
-    ratio = _small_contact(scene, answers)
-    imbalance = answers.values.get("force_imbalance")
-    if imbalance is None:
-        return ratio
-    return np.where(imbalance > 0.1, ratio, np.nan)
-
-
-#: the number that each check measures, (n,), NaN for rows it does not apply to; None for a scene
-#: it does not apply to
-MEASURES: dict[str, Callable[[Scene, SceneAnswers], Array | None]] = {
-    "small_contact": _small_contact,
-    "contact_on_bar_end": _contact_over_bar,
-    "bar_yield_contact": lambda s, a: _over_onset(a.values["p_max"], softest_partner(s).onset),
-    "bar_yield_pulse": _pulse_over_yield,
-    "force_balance": _imbalance,
-    "quasi_static_sphere": lambda s, a: _transits(s, a.values["rise_time"]),
-    "one_dimensional_bars": _pulse_rise,
-    "ideal_pulse": _ideal_pulse,
-    "force_level": lambda s, a: s.scales.pulse_number,
-    "before_reflection": _record_over_echo,
-    "sphere_yield_contact": lambda s, a: _over_onset(
-        a.values["p_max"], sphere_body(s.columns).onset
-    ),
-    "dented": _depth,
-    "softer_body": _other_onset,
-    "plastic_range": _depth,
-    "deep_dent": _relative_dent,
-    "insert_thickness": lambda s, a: 3.0 * a.values["a_max"] / s.column("bars.insert_thickness"),
-    "pressure_shape": _depth,
-    "quasi_static_impact": lambda s, a: _transits(s, a.values["loaded_time"]),
-    "face_yield": _over_partner_onset,
-    "thin_plate": _thin_plate,
-    "plate_edge": _plate_edge,
-    "gravity": _gravity,
-    "drag": _drag,
-    "oblique": lambda s, a: np.rad2deg(s.columns["rig.angle"]),
-    "wave_loss": lambda s, a: loss_to_waves(s),
-    "one_dimensional_rod": _rod_rise,
-    "echo_in_contact": _echo_under_load,
-    "grazing_contact": lambda s, a: a.grazes,
-    "chatter": lambda s, a: a.values["retouches"],
-    "one_sided_field": _one_sided,
-}
-#: what is added to the sentence on a breach, from the scene, its answers and the computed rows
-ADVICE: dict[str, Callable[[Scene, SceneAnswers, Flags], str]] = {
-    "bar_yield_contact": lambda s, a, good: _static_estimate(s, a, good, softest_partner(s)),
-    "sphere_yield_contact": lambda s, a, good: _static_estimate(s, a, good, sphere_body(s.columns)),
-    "dented": _dents,
-    "face_yield": lambda s, a, good: _static_estimate(s, a, good, softest_partner(s)),
+#: method of `Measures` that gives the end of the sentence on a breach
+ADVICE = {
+    "bar_yield_contact": Measures._partner_estimate,
+    "sphere_yield_contact": Measures._sphere_estimate,
+    "dented": Measures._dents,
+    "face_yield": Measures._partner_estimate,
 }
 
 
@@ -418,45 +407,38 @@ def check_validity(
     """
     if len(answers.status) != len(scene):
         raise ValueError(f"the scene has {len(scene)} rows, the answers have {len(answers.status)}")
-    good = answered(answers.status)
+    measures = Measures(scene, answers)
+    checks = []
     with np.errstate(all="ignore"):
-        measured = {
-            key: MEASURES[key](scene, answers) for key, rule in RULES.items() if rule.applies(scene)
-        }
-        checks = [
-            _check(RULES[key], scene, answers, good, values)
-            for key, values in measured.items()
-            if values is not None
-        ]
-    return checks + _check_ranges(scene, answers, good, quantities)
+        for key, rule in RULES.items():
+            measured = getattr(measures, key)() if rule.applies(scene) else None
+            if measured is not None:
+                checks.append(_check(rule, measures, np.asarray(measured)))
+    return checks + _check_ranges(measures, quantities)
 
 
-def _check(
-    rule: Rule, scene: Scene, answers: SceneAnswers, good: Flags, measured: Array
-) -> ValidityCheck:
+def _check(rule: Rule, measures: Measures, measured: Array) -> ValidityCheck:
     grades = grades_of(rule, measured)
-    usable = good & ~np.isnan(measured)
+    usable = measures.good & ~np.isnan(measured)
     if not usable.any():
         return ValidityCheck(check=rule.name, grades=grades)
     numbers = measured[usable]
     worst = float(numbers.max() if rule.rising else numbers.min())
     shares = np.bincount(grades[usable], minlength=4)[1:] / len(numbers)
     text = ""
-    broken = float(shares.sum())
-    if broken > 0.0:
+    grade = int(grades[usable].max())
+    if grade:
         shown = f"{worst:.3g}" if np.isfinite(worst) else "unlimited"
-        if rule.rising and broken > 1.0 - _USUAL:
+        if rule.rising and shares.sum() > 1.0 - _USUAL:
             most = float(np.quantile(numbers, _USUAL, method="inverted_cdf"))
             if most < _FAR * worst:
                 shown += f" ({most:.3g} in {100.0 * _USUAL:.3g} % of the samples)"
         # the threshold of the grade that the worst row reaches
-        grade = int(grades[usable].max())
-        limit = rule.thresholds[grade - 1]
-        broken = float(shares[grade - 1])
-        words = rule.words.format(worst=shown, limit=f"{limit:.3g}", shape=scene.shape)
-        text = f"{_rows_text(broken)}: {words.replace(') (limit', '; limit')}"
+        limit = f"{rule.thresholds[grade - 1]:.3g}"
+        words = rule.words.format(worst=shown, limit=limit, shape=measures.scene.shape)
+        text = f"{_rows_text(shares[grade - 1])}: {words.replace(') (limit', '; limit')}"
         if rule.key in ADVICE:
-            text += ADVICE[rule.key](scene, answers, good)
+            text += ADVICE[rule.key](measures)
     return ValidityCheck(
         check=rule.name,
         shares=tuple(shares.tolist()),
@@ -482,19 +464,20 @@ def _rows_text(fraction: float) -> str:
 _SYMBOLS = {"sphere.nu": "nu", "modulus": "m"}
 
 
-def _check_ranges(
-    scene: Scene, answers: SceneAnswers, good: Flags, quantities: Collection[str]
-) -> list[ValidityCheck]:
+def _check_ranges(measures: Measures, quantities: Collection[str]) -> list[ValidityCheck]:
     criteria: dict[str, tuple[str, Parameters]] = {
         entry.quantity: (name, {})
         for name, entry in CRITERIA.items()
         # the range of the contact pressure is Hertz's, which has its own check
         if entry.quantity is not None and name != "contact_pressure"
     }
-    criteria |= scene.demands
-    columns = {name: values[good] for name, values in {**scene.columns, **answers.values}.items()}
+    criteria |= measures.scene.demands
+    columns = {
+        name: column[measures.good]
+        for name, column in {**measures.columns, **measures.values}.items()
+    }
     return [
-        _check_range(name, *criteria[name], columns, good)
+        _check_range(name, *criteria[name], columns, measures.good)
         for name in dict.fromkeys(quantities)
         if name in criteria and CRITERIA[criteria[name][0]].ranges
     ]
@@ -508,21 +491,19 @@ def _check_range(
     check = f"range_of_{quantity}"
     if not good.any():
         return ValidityCheck(check=check, grades=grades)
-    outside = []
-    for name, values, low, high in ranges_of(criterion, columns, parameters):
-        grades[good] = np.maximum(grades[good], np.where((values < low) | (values > high), 2, 0))
-        least = float(values.min())
-        most = float(values.max())
-        below = low - least
-        above = most - high
-        if max(below, above) > 0.0:
-            text = f"{least if below > above else most:.3g}"
-            if min(below, above) > 0.0:
-                text = f"{least:.3g} to {most:.3g}"
-            outside.append(f"{_SYMBOLS.get(name, name)} = {text}")
-    share = float((grades[good] > 0).mean())
+    inside = in_range(criterion, columns, parameters)
+    grades[good] = np.where(inside, 0, 2)
     text = ""
+    share = float((~inside).mean())
     if share > 0.0:
+        outside = []
+        for name, values, low, high in ranges_of(criterion, columns, parameters):
+            least = values.min()
+            most = values.max()
+            ends = ((least, least < low), (most, most > high))
+            texts = [f"{end:.3g}" for end, beyond in ends if beyond]
+            if texts:
+                outside.append(f"{_SYMBOLS.get(name, name)} = {' to '.join(texts)}")
         consequence = "the formula is extrapolated"
         if "equal forces" in criterion.range_text:
             consequence = "the value at the table edge is used"
