@@ -123,16 +123,15 @@ def compare_with_paper(
     scene = scene.at(np.array([row]))
     corrected = solve_closed(_idealised(scene), "massless")
     full = solve(scene, tolerance=tolerance)
-    scales = scene.scales
+    scales = _scales_of(scene)
     speed = float(scene.columns["striker.speed"][0])
     # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
-    force_at_speed = 0.5 * speed * float(scales.impedance[0])
-    alpha = float(np.cbrt(np.square(force_at_speed / float(scales.hertz_constant[0]))))
+    alpha = (0.5 * speed * scales["impedance"] / scales["hertz_constant"]) ** (2.0 / 3.0)
     # (5.1), (5.3) with 1/E* = pi (k0 + k), (5.4)
-    radius = float(np.sqrt(alpha * scales.effective_radius[0]))
-    force = (4.0 / 3.0) * float(scales.modulus[0]) * alpha * radius
-    pressure = float(1.5 * force / (math.pi * np.square(radius)))
-    duration = float(contact_duration(alpha, speed))
+    radius = math.sqrt(alpha * scales["effective_radius"])
+    force = (4.0 / 3.0) * scales["modulus"] * alpha * radius
+    pressure = 1.5 * force / (math.pi * radius**2)
+    duration = contact_duration(alpha, speed)
     loss = _LOSS
     if _number(full, "time_to_first_loss") is None:
         loss += f"; not over within the evaluation window of {1e6 * full.record[0]:.4g} us"
@@ -181,11 +180,11 @@ def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) ->
 
 def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -> list[PaperValue]:
     """Approaches at single instants, and the plateau of the linear contact."""
-    scales = scene.scales
-    time = float(scales.time[0])
-    theta = float(scales.pulse_number[0])
-    impedance = float(scales.impedance[0])
-    beta = float(scales.hertz_constant[0])
+    scales = _scales_of(scene)
+    time = scales["time"]
+    theta = scales["duration"] / time
+    impedance = scales["impedance"]
+    beta = scales["hertz_constant"]
     course = motion(scene, 0, tolerance=tolerance)
 
     def at(key: str, name: str, s: float, printed: Values, note: str) -> PaperValue:
@@ -233,6 +232,11 @@ def _number(answers: SceneAnswers, quantity: str) -> float | None:
     return float(answers.values[quantity][0])
 
 
+def _scales_of(scene: Scene) -> dict[str, float]:
+    """Scale factors of the only row."""
+    return {name: float(column[0]) for name, column in vars(scene.scales).items()}
+
+
 def _idealised(scene: Scene) -> Scene:
     """The scene in infinite bars under a rectangular pulse of its length, or under its step."""
     if scene.shape == "step":
@@ -263,7 +267,7 @@ def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:
 
 def _settled(scene: Scene, tolerance: float) -> float:
     """Approach [m] of the full model at the end of an endless step in infinite bars."""
-    scales = scene.scales
-    horizon = _SETTLED * max(1.0, float(scales.mass_number[0])) * float(scales.time[0])
+    scales = _scales_of(scene)
+    horizon = _SETTLED * max(1.0, scales["mass_number"]) * scales["time"]
     course = motion(_in_infinite_bars(scene, "step", horizon), 0, tolerance=tolerance)
     return float(course.states_at(np.array([horizon]))[0, :2].mean())

@@ -89,11 +89,11 @@ def _squares(wave_number: Array, speed: Array, nu: float) -> tuple[Array, Array,
     return k2, k2 * (np.square(speed / dilatation) - 1.0), k2 * (np.square(speed / shear) - 1.0)
 
 
-def _equation(wave_number: Array, speed: Array, nu: float) -> Array:
+def _equation(wave_number: Array, speed: Array, nu: float) -> Values:
     """Left side of the frequency equation."""
     k2, p2, q2 = _squares(wave_number, speed, nu)
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
-    return np.asarray(
+    return (
         2.0 * p2 * (q2 + k2) * one_p * one_q
         - np.square(q2 - k2) * zero_p * one_q
         - 4.0 * k2 * p2 * one_p * zero_q
@@ -123,14 +123,13 @@ def phase_speed(wave_number: Array, nu: float) -> Array:
     return np.where(wave_number > 1e-2, 0.5 * (low + high), long_wave)
 
 
-def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Array, Array]:
+def surface_factors(wave_number: Array, speed: Array, nu: float) -> tuple[Array, Array]:
     """Tyas and Wilson's correction factors M_1, M_2 of the surface strain, both 1 for long waves.
 
     M_1: mean axial strain of the section over the surface strain.  M_2: mean axial stress over E
     times the mean strain.  (n,) each, at wave numbers times radius and phase speeds over c0.
     """
-    k = np.asarray(wave_number, dtype=float)
-    k2, p2, q2 = _squares(k, np.asarray(speed), nu)
+    k2, p2, q2 = _squares(wave_number, speed, nu)
     (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
     # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth
     # exp(|p| + |q|)
@@ -139,9 +138,9 @@ def surface_factors(wave_number: Values, speed: Values, nu: float) -> tuple[Arra
     surface = dilating * zero_p + shearing * zero_q
     mean = 2.0 * (dilating * one_p + shearing * one_q)
     with np.errstate(divide="ignore", invalid="ignore"):
-        strain = np.where(k > 0.0, mean / surface, 1.0)
+        strain = np.where(k2 > 0.0, mean / surface, 1.0)
         volume = nu / (1.0 - 2.0 * nu) * (p2 + k2) * 2.0 * dilating * one_p
-        stress = np.where(k > 0.0, (volume + k2 * mean) / ((1.0 + nu) * k2 * mean), 1.0)
+        stress = np.where(k2 > 0.0, (volume + k2 * mean) / ((1.0 + nu) * k2 * mean), 1.0)
     return strain, stress
 
 
@@ -157,13 +156,13 @@ class FirstMode:
     wave_number: Array
     band: float
 
-    def lag(self, frequency: Values) -> Array:
+    def lag(self, frequency: Values) -> Values:
         """k radius - omega radius/c0 at frequencies (n,); beyond the band that of its edge."""
         from scipy.interpolate import CubicSpline
 
-        inside = np.minimum(np.asarray(frequency, dtype=float), self.band)
+        inside = np.minimum(frequency, self.band)
         # the lag behind c0 is what is small and smooth
-        return np.asarray(CubicSpline(self.frequency, self.wave_number - self.frequency)(inside))
+        return CubicSpline(self.frequency, self.wave_number - self.frequency)(inside)
 
 
 def _second_mode(nu: float) -> float:

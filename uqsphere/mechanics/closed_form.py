@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebval
+from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import SceneAnswers, answers_from, merged_answers
 from uqsphere.mechanics.rigs import LARGEST_LAM
@@ -33,15 +35,12 @@ _SERIES_BELOW = 0.1
 _SERIES_TERMS = 12
 
 
-def _series(x: Array) -> Array:
+def _series(x: Array) -> Values:
     """s(x) = sum over k of x^(1 + 3k/2)/(1 + 3k/2), the geometric series of 1/(1 - x^(3/2))
     integrated.
     """
-    power = x * np.sqrt(x)
-    total = np.zeros_like(x)
-    for k in range(_SERIES_TERMS, -1, -1):
-        total = total * power + 1.0 / (1.0 + 1.5 * k)
-    return x * total
+    coefficients = 1.0 / (1.0 + 1.5 * np.arange(_SERIES_TERMS + 1))
+    return x * polyval(x * np.sqrt(x), coefficients)
 
 
 def _time_at_root(root: Array, minus_log: Array) -> Array:
@@ -71,7 +70,7 @@ def loading_time(x: Values) -> Array:
     return np.where(x < _SERIES_BELOW, _series(np.minimum(x, _SERIES_BELOW)), closed)
 
 
-@lru_cache(maxsize=1)
+@cache
 def _table() -> tuple[Array, Array]:
     """Times and z = -ln(1 - sqrt(x)) of a loading, so close that one round of Newton's iteration
     finishes it.
@@ -104,7 +103,7 @@ def loading_approach(s: Values) -> Array:
     return np.where(s < _SERIES_BELOW, x, np.square(np.expm1(-z)))
 
 
-def relaxing_approach(start: Values, after: Values) -> Array:
+def relaxing_approach(start: Values, after: Values) -> Values:
     """Scaled approach after the pulse: x = [x_*^(-1/2) + after/2]^(-2), theory (12).
 
     start: x_* at the end of the pulse.  after: time since then over t_c.
@@ -112,12 +111,12 @@ def relaxing_approach(start: Values, after: Values) -> Array:
     >>> float(relaxing_approach(loading_approach(0.8), 5.2).round(7))
     0.0667757
     """
-    return np.asarray((1.0 / np.sqrt(start) + 0.5 * np.asarray(after, dtype=float)) ** -2.0)
+    return (1.0 / np.sqrt(start) + 0.5 * after) ** -2.0
 
 
-def relaxing_time(start: Values, x: Values) -> Array:
+def relaxing_time(start: Values, x: Values) -> Values:
     """Scaled time in which the approach decreases from `start` to x; inverse of (12)."""
-    return np.asarray(2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start)))
+    return 2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start))
 
 
 def massless_approach(s: Values, theta: Values) -> Array:
@@ -179,12 +178,12 @@ _COLUMNS = ("restitution", "force", "duration", "rise")
 
 
 @cache
-def _impact_table() -> Mapping[str, np.polynomial.Chebyshev]:
-    """`_COLUMNS` over lam in [0, 3] as Chebyshev series; force and times in units of (R13)."""
+def _impact_table() -> Array:
+    """Coefficients of `_COLUMNS` over lam in [0, 3] as Chebyshev series, (k, 4); force and times in
+    units of (R13).
+    """
     with resources.files("uqsphere.mechanics").joinpath("impact_table.csv").open() as lines:
-        columns = np.loadtxt(lines, delimiter=",", skiprows=1).T
-    series = [np.polynomial.Chebyshev(column, domain=[0.0, LARGEST_LAM]) for column in columns]
-    return dict(zip(_COLUMNS, series, strict=True))
+        return np.loadtxt(lines, delimiter=",", skiprows=1)
 
 
 def elastic_impact(lam: Array) -> Mapping[str, Array]:
@@ -196,7 +195,8 @@ def elastic_impact(lam: Array) -> Mapping[str, Array]:
     1.1433
     """
     inside = np.where(lam <= LARGEST_LAM, lam, np.nan)
-    return {name: np.asarray(series(inside)) for name, series in _impact_table().items()}
+    values = chebval(2.0 * inside / LARGEST_LAM - 1.0, _impact_table())
+    return dict(zip(_COLUMNS, values, strict=True))
 
 
 def _elastic(scene: Scene, ahead: Partner, force: Array) -> Mapping[str, Array]:
@@ -220,9 +220,9 @@ def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
     return face.depth_of_work(energy / (face.onset_force * face.onset_approach))
 
 
-def light_sphere_constant(behind: Values, ahead: Values) -> Array:
+def light_sphere_constant(behind: Values, ahead: Values) -> Values:
     """Hertz constant of two contacts in series, with a massless sphere between them, (R15)."""
-    compliance = np.asarray(behind) ** (-2.0 / 3.0) + np.asarray(ahead) ** (-2.0 / 3.0)
+    compliance = behind ** (-2.0 / 3.0) + ahead ** (-2.0 / 3.0)
     return compliance**-1.5
 
 
@@ -236,7 +236,7 @@ _SWING, _SWING_POWER = 0.70, 0.45
 _BLOCK_ROWS = 8192
 
 
-def closed_form_rows(scene: Scene, fidelity: str = "full") -> Flags:
+def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
     """Rows that `solve_closed` applies to, (n,).
 
     A massless sphere between infinite bars under a rectangular or step pulse, or under a drop
@@ -250,18 +250,16 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Flags:
         return every & (plain and applies)
     if scene.setup.by_press or _is_light(scene, fidelity):
         return every
-    if behind is not None or ahead is None or scene.horizon is not None:
+    if behind is not None or scene.horizon is not None:
         return ~every
     if ahead.kind in ("thick", "mass"):
         return every
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
         return ~every
-    if not np.any(ahead.reflection):
-        return every
     with np.errstate(all="ignore"):
         duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
-        return np.asarray((ahead.reflection == 0.0) | ~(duration > ahead.round_trip))
+        return (ahead.reflection == 0.0) | ~(duration > ahead.round_trip)
 
 
 def _is_light(scene: Scene, fidelity: str) -> bool:
@@ -372,15 +370,9 @@ def _impact(scene: Scene) -> dict[str, Array]:
         state = face.pressed(depth)
         restitution = face.restitution(depth)
         to_scaled = face.onset_approach / scales.approach
-        x = depth * face.onset_approach / scales.approach
-        low, high, first = (
-            _loading(face, depth, start)
-            for start in (
-                face.depth_at(0.1 * state.force),
-                face.depth_at(0.9 * state.force),
-                np.zeros(1),
-            )
-        )
+        x = depth * to_scaled
+        rising = (face.depth_at(share * state.force) for share in (0.1, 0.9))
+        low, high, first = (_loading(face, depth, start) for start in (*rising, np.zeros(1)))
         # unloading follows Hertz from alpha_e, and ends at the rebound speed
         up = face.recovery(depth) * to_scaled / restitution
         rest = {
@@ -414,21 +406,17 @@ def _loading(face: Face, depth: Array, start: Array) -> Array:
     range is cut.
     """
     # Gauss points below and above the onset: analytic in the angle, 1e-12 at all depths
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    ends = [
-        np.arccos(np.sqrt(np.minimum(bound / depth, 1.0)))
-        for bound in (np.maximum(start, 1.0), start)
-    ]
+    nodes, weights = np.array(np.polynomial.legendre.leggauss(24))[:, :, None]
     total = np.zeros_like(depth)
     work = face.work(depth)
     low = np.zeros_like(depth)
-    for high in ends:
-        for node, weight in zip(nodes, weights, strict=True):
-            angle = low + 0.5 * (high - low) * (node + 1.0)
-            left = 1.0 - face.work(depth * np.square(np.cos(angle))) / work
-            integrand = np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300))
-            step = np.where(angle > 0.0, integrand, 0.0)
-            total += 0.5 * (high - low) * weight * depth * step
+    for bound in (np.maximum(start, 1.0), start):
+        high = np.arccos(np.sqrt(np.minimum(bound / depth, 1.0)))
+        half = 0.5 * (high - low)
+        angle = low + half * (nodes + 1.0)
+        left = 1.0 - face.work(depth * np.square(np.cos(angle))) / work
+        integrand = np.sin(2.0 * angle) / np.sqrt(np.maximum(left, 1e-300))
+        total += half * depth * (weights * np.where(angle > 0.0, integrand, 0.0)).sum(axis=0)
         low = high
     return total
 

@@ -32,7 +32,7 @@ def reduced_modulus(
 
 def effective_radius(radius: Values, end_radius: Values = math.inf) -> Values:
     """Relative radius of curvature r_eff [m]: 1/r_eff = 1/r + 1/r_end, r_end = inf if flat."""
-    return 1.0 / (1.0 / radius + 1.0 / np.asarray(end_radius, dtype=float))
+    return 1.0 / (1.0 / radius + 1.0 / end_radius)
 
 
 def hertz_constant(modulus: Values, effective_radius: Values) -> Values:

@@ -27,7 +27,6 @@ ColumnMap = Mapping[str, Values]
 Parameters = Mapping[str, float]
 #: further quantities: name -> criterion and its parameters
 Demands = Mapping[str, tuple[str, Parameters]]
-Formula = Callable[[ColumnMap, Parameters], Array]
 
 
 #: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
@@ -85,28 +84,23 @@ CRITERIA = {
 }
 
 
-def _demand_quantity(name: str, entry: Criterion) -> Quantity:
+#: fields that a criterion shares with the nomenclature of its demand
+_OF_QUANTITY = ("name", "symbol", "dimension", "display", "follows", "place", "needs")
+
+
+def _demand_quantity(entry: Criterion) -> Quantity:
     """The nomenclature of a demand; with a rate effect its meaning says that it is included."""
     meaning = entry.measures
     if "rate_0" in entry.optional and entry.quantity is not None:
         label = meaning.partition(":")[0]
         meaning = f"{label} divided by the strain-rate strengthening factor"
-    return Quantity(
-        name=name,
-        symbol=entry.symbol,
-        dimension=entry.dimension,
-        display=entry.display,
-        follows=entry.follows,
-        fracture=True,
-        place=entry.place,
-        needs=entry.needs,
-        meaning=meaning,
-    )
+    shared = {key: getattr(entry, key) for key in _OF_QUANTITY}
+    return Quantity(**shared, meaning=meaning, fracture=True)
 
 
 #: demands of criteria by the criterion; a study adds the limit's name,
 #: ``weakest_link_volume.NAME``
-DEMANDS = {name: _demand_quantity(name, entry) for name, entry in CRITERIA.items()}
+DEMANDS = {name: _demand_quantity(entry) for name, entry in CRITERIA.items()}
 
 
 def demand(
@@ -124,27 +118,29 @@ def demand(
     >>> round(float(demand(CRITERIA["core_tension"], rows)[0]) / 1e6, 2)
     9.86
     """
-    contacts: list[ColumnMap] = [columns]
-    if "sides" in columns:
-        # contacts that differ, each with the force at the other one; the rest is that of the row
-        contacts = [ChainMap(side, columns) for side in columns["sides"]]  # type: ignore[arg-type]
+    # contacts that differ, each with the force at the other one; the rest is that of the row
+    sides = columns.get("sides", [{}])
     formula = FORMULAS[criterion.name]
-    demands = [np.atleast_1d(formula(of_contact, parameters)) for of_contact in contacts]
-    largest = np.asarray(np.maximum.reduce(demands))
+    demands = [np.atleast_1d(formula(_chain(parameters, side, columns))) for side in sides]
+    largest: Array = np.maximum.reduce(demands)
     if "rate_0" in parameters:
         rate = np.maximum(strain_rate(columns), 0.0)
-        return np.asarray(largest / (1.0 + np.cbrt(np.square(rate / parameters["rate_0"]))))
+        largest = largest / (1.0 + np.cbrt(np.square(rate / parameters["rate_0"])))
     return largest
+
+
+def _chain(*maps: ColumnMap) -> ColumnMap:
+    """The columns of several maps, of the first one that has a name."""
+    return ChainMap(*maps)  # type: ignore[arg-type]
 
 
 def ranges_of(
     criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
 ) -> Iterator[tuple[str, Array, float, float]]:
     """Ranges of a criterion: the name, its values, (n,) or (1,), and both ends of the range."""
-    own = {**parameters, "a/r": columns["a_max"] / columns["sphere.radius"]}
+    ratio = {"a/r": columns["a_max"] / columns["sphere.radius"]}
     for name, (low, high) in criterion.ranges.items():
-        values = ChainMap(own, columns)[name]  # type: ignore[arg-type]
-        yield name, np.atleast_1d(values), low, high
+        yield name, np.atleast_1d(_chain(parameters, ratio, columns)[name]), low, high
 
 
 def in_range(
@@ -157,152 +153,138 @@ def in_range(
     return inside
 
 
-# --- formulas: functions of the columns of one contact, and of the parameters ---------------------
+# --- formulas: functions of the columns of one contact, and of the parameters, by their names -----
 
 
-def _first(columns: ColumnMap, name: str, default: str) -> Array:
+def _first(c: ColumnMap, name: str, default: str) -> Values:
     """A column, or another one where it is not given."""
-    return np.asarray(columns[name if name in columns else default])
+    return c[name if name in c else default]
 
 
-def _field(columns: ColumnMap) -> tuple[Array, Array, Array]:
+def _field(c: ColumnMap) -> tuple[Values, Values, Values]:
     """Hertz pressure of the same force and contact circle [Pa], a/r and nu: stresses follow."""
-    pressure = _first(columns, "p_field", "p_max")
-    return pressure, columns["a_max"] / columns["sphere.radius"], columns["sphere.nu"]
+    return _first(c, "p_field", "p_max"), c["a_max"] / c["sphere.radius"], c["sphere.nu"]
 
 
-def _central_force(columns: ColumnMap) -> Array:
+def _central_force(c: ColumnMap) -> Values:
     """Force that loads the centre and the equator [N]: the mean of both contacts, exactly, (R19).
 
     It is P_max if both are equal.
     """
-    return _first(columns, "force_at_centre", "P_max")
+    return _first(c, "force_at_centre", "P_max")
 
 
-def _edge_tension(columns: ColumnMap, parameters: Parameters) -> Array:
-    pressure = _first(columns, "p_rim", "p_max")
-    return np.asarray(contact.edge_tension(pressure, columns["sphere.nu"]))
-
-
-def _ring_crack(columns: ColumnMap, parameters: Parameters) -> Array:
+def _ring_crack(c: ColumnMap) -> Values:
     """Toughness at which a ring crack just becomes a cone crack [Pa sqrt(m)].
 
     K = sqrt(P E/(A r)), A = 8600: Auerbach's law P_C = A K_Ic² r/E solved for the toughness.
     """
-    force, E, radius = (columns[name] for name in ("P_max", "sphere.E", "sphere.radius"))
-    return np.asarray(np.sqrt(force * E / (AUERBACH * radius)))
+    return np.sqrt(c["P_max"] * c["sphere.E"] / (AUERBACH * c["sphere.radius"]))
 
 
-def _between(one: Array, two: Array, balance: Array) -> Array:
+def _between(one: Values, two: Values, balance: Values) -> Values:
     """Stress under unequal forces, (R20): `one` of one force alone, `two` of two equal forces.
 
     On the axis the field is the sum of two, except for the location of its peak; a weakest-link
     integral is lower, since a norm is convex.
     """
-    return np.asarray(one + (two - one) * balance)
+    return one + (two - one) * balance
 
 
-def _core(columns: ColumnMap, parameters: Parameters) -> Array:
-    pressure, ratio, nu = _field(columns)
+def _core(c: ColumnMap) -> Values:
+    pressure, ratio, nu = _field(c)
     tension = stress.core_ratio(ratio, nu)[0]
-    if "balance" in columns:
-        tension = _between(stress.ratio("core_one", ratio, nu), tension, columns["balance"])
+    if "balance" in c:
+        tension = _between(stress.ratio("core_one", ratio, nu), tension, c["balance"])
     return pressure * tension
 
 
-def _centre(columns: ColumnMap, parameters: Parameters) -> Array:
-    radius = columns["sphere.radius"]
-    nu = columns["sphere.nu"]
-    return np.asarray(contact.centre_tension(_central_force(columns), radius, nu))
-
-
-def _equator(columns: ColumnMap, parameters: Parameters) -> Array:
-    pressure, ratio, nu = _field(columns)
+def _equator(c: ColumnMap) -> Values:
+    pressure, ratio, nu = _field(c)
     tension = pressure * np.square(ratio) * stress.ratio("equator", ratio, nu)
-    if "force_at_centre" in columns:
-        tension = tension * (_central_force(columns) / columns["P_max"])
-    return np.asarray(tension)
+    if "force_at_centre" in c:
+        tension = tension * (_central_force(c) / c["P_max"])
+    return tension
 
 
-def _nominal(columns: ColumnMap, parameters: Parameters, factor: float) -> Array:
+def _nominal(c: ColumnMap, factor: float = 1.0) -> Values:
     """A factor times P/D² [Pa]; 0.9 is the practice for irregular lumps."""
-    return np.asarray(factor * _central_force(columns) / np.square(2.0 * columns["sphere.radius"]))
+    return factor * _central_force(c) / np.square(2.0 * c["sphere.radius"])
 
 
-def _shear(columns: ColumnMap, parameters: Parameters) -> Array:
-    pressure, ratio, nu = _field(columns)
+def _shear(c: ColumnMap) -> Values:
+    pressure, ratio, nu = _field(c)
     return pressure * stress.ratio("shear", ratio, nu)
 
 
-def strain_rate(columns: ColumnMap) -> Array:
+def strain_rate(c: ColumnMap) -> Values:
     """Mean strain rate of the core during loading [1/s]: core_tension/E loading_rate/P_max.
 
     The core tension is taken as proportional to the force.
     """
-    growth = columns["loading_rate"] / columns["P_max"]
-    return np.asarray(_core(columns, {}) / columns["sphere.E"] * growth)
+    return _core(c) / c["sphere.E"] * (c["loading_rate"] / c["P_max"])
 
 
-def _weakest_link(columns: ColumnMap, parameters: Parameters, over: str) -> Array:
+def _weakest_link(c: ColumnMap, over: str) -> Values:
     """Equivalent tension of the weakest link [Pa]: (∫ max(sigma_phi, 0)^m dV/V_0)^(1/m).
 
     over: `volume` or `surface`.  With a strength of modulus m and scale sigma_0 for the reference
     size, P_f = 1 - exp(-(sigma_eq/sigma_0)^m).
     """
-    pressure, ratio, nu = _field(columns)
-    m = parameters["modulus"]
-    radius = columns["sphere.radius"]
+    pressure, ratio, nu = _field(c)
+    m = c["modulus"]
+    radius = c["sphere.radius"]
     if over == "volume":
-        size = 4.0 / 3.0 * math.pi * radius**3 / parameters["reference_volume"]
+        size = 4.0 / 3.0 * math.pi * radius**3 / c["reference_volume"]
     else:
-        size = 4.0 * math.pi * radius**2 / parameters["reference_area"]
-    growth = size ** (1.0 / m)
-    two = pressure * stress.ratio(over, ratio, nu, m) * growth
-    if "balance" not in columns:
-        return np.asarray(two)
-    one = pressure * stress.ratio(f"{over}_one", ratio, nu, m) * growth
-    return _between(one, two, np.minimum(columns["balance"], 1.0))
+        size = 4.0 * math.pi * radius**2 / c["reference_area"]
+    tension = stress.ratio(over, ratio, nu, m)
+    if "balance" in c:
+        one = stress.ratio(f"{over}_one", ratio, nu, m)
+        tension = _between(one, tension, np.minimum(c["balance"], 1.0))
+    return pressure * tension * size ** (1.0 / m)
 
 
-def _weakest_rim(columns: ColumnMap, parameters: Parameters) -> Array:
-    pressure, ratio, nu = _field(columns)
-    m = parameters["modulus"]
-    surface = 4.0 * math.pi * np.square(columns["sphere.radius"])
+def _weakest_rim(c: ColumnMap) -> Values:
+    pressure, ratio, nu = _field(c)
+    m = c["modulus"]
+    surface = 4.0 * math.pi * np.square(c["sphere.radius"])
     tension = stress.half_space_rim(ratio, nu, m) * stress.ratio("rim", ratio, nu, m)
-    if "balance" in columns:
+    if "balance" in c:
         # each rim is a hazard by itself, half of both under equal forces, proportional to a² p_0^m
-        other = np.minimum(columns["balance"], 1.0) ** ((m + 2.0) / 3.0)
+        other = np.minimum(c["balance"], 1.0) ** ((m + 2.0) / 3.0)
         tension = tension * (0.5 * (1.0 + other)) ** (1.0 / m)
-    size = surface / parameters["reference_area"]
-    return np.asarray(pressure * tension * size ** (1.0 / m))
+    return pressure * tension * (surface / c["reference_area"]) ** (1.0 / m)
 
 
-def _specific_energy(columns: ColumnMap, parameters: Parameters, name: str) -> Array:
+def _specific_energy(c: ColumnMap, name: str) -> Values:
     """A fracture energy w by one of the three definitions of (R22).
 
     With a largest energy it is E_max w/(E_max - w): an upper-truncated lognormal fracture energy as
     a lognormal one.  At E_max and above every particle breaks; there 1e9 E_max is returned, above
     any strength.
     """
-    energy: Array = columns[name]
-    if "largest_energy" not in parameters:
+    energy = c[name]
+    if "largest_energy" not in c:
         return energy
-    top = parameters["largest_energy"]
+    top = c["largest_energy"]
     with np.errstate(divide="ignore", invalid="ignore"):
         equivalent = np.minimum(top * energy / (top - energy), _CERTAIN * top)
         return np.where(energy < top, equivalent, _CERTAIN * top)
 
 
 #: formula of every criterion, without the rate effect
-FORMULAS: dict[str, Formula] = {
-    "contact_pressure": lambda columns, parameters: columns["p_max"],
-    "edge_tension": _edge_tension,
+FORMULAS: dict[str, Callable[[ColumnMap], Values]] = {
+    "contact_pressure": lambda c: c["p_max"],
+    "edge_tension": lambda c: contact.edge_tension(_first(c, "p_rim", "p_max"), c["sphere.nu"]),
     "ring_crack": _ring_crack,
     "core_tension": _core,
-    "centre_tension": _centre,
+    "centre_tension": lambda c: contact.centre_tension(
+        _central_force(c), c["sphere.radius"], c["sphere.nu"]
+    ),
     "equatorial_tension": _equator,
     "hiramatsu_oka": partial(_nominal, factor=0.9),
-    "grain_tension": partial(_nominal, factor=1.0),
+    "grain_tension": _nominal,
     "weakest_link_volume": partial(_weakest_link, over="volume"),
     "weakest_link_surface": partial(_weakest_link, over="surface"),
     "weakest_link_rim": _weakest_rim,

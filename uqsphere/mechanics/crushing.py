@@ -37,7 +37,7 @@ def value_at(
 ) -> Array:
     """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s]."""
     own = {key: np.broadcast_to(np.float64(value), radius.shape) for key, value in sphere.items()}
-    modulus = np.asarray(contact.reduced_modulus(own["E"], own["nu"], *platens))
+    modulus = contact.reduced_modulus(own["E"], own["nu"], *platens)
     beta = contact.hertz_constant(modulus, radius)
     share = modulus * (1.0 - np.square(own["nu"])) / own["E"]
     if "takes" in own:
@@ -74,7 +74,8 @@ def value_at(
         }
     )
     if isinstance(of, str):
-        return np.asarray(columns[of], dtype=float)
+        amount: Array = columns[of]
+        return amount
     return demand(CRITERIA[of[0]], columns, of[1])
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Values
 from uqsphere.mechanics.integrator.solve import Motion
@@ -48,9 +49,9 @@ def arriving(motion: Motion, bar: int, times: Array, *, sides: Values = 1.0) -> 
     return reflected
 
 
-def _nudge(motion: Motion, times: Array, sides: Values) -> Array:
+def _nudge(motion: Motion, times: Array, sides: Values) -> Values:
     """Shift of an instant to the requested side of a jump, above the rounding of t - k T."""
-    return np.asarray(1e-12 * (np.abs(times) + motion.unit) * sides)
+    return 1e-12 * (np.abs(times) + motion.unit) * sides
 
 
 def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int) -> Array:
@@ -200,10 +201,9 @@ def tension_level(motion: Motion) -> float:
     record = motion.scene.record
     if record is None:
         return _TENSION_LEVEL
-    step = np.linspace(0.0, 1.0, 65) * np.diff(record.breaks)[:, None]
-    coefficients = np.asarray(record.coefficients)
-    strain = sum(coefficients[:, k, None] * step**k for k in range(coefficients.shape[1]))
-    return float(np.clip(-1.5 * np.min(strain), _TENSION_LEVEL, _LARGEST_TENSION_LEVEL))
+    steps = np.linspace(0.0, 1.0, 65)[:, None] * np.diff(record.breaks)
+    strain = polyval(steps, np.transpose(record.coefficients), tensor=False)
+    return float(np.clip(-1.5 * strain.min(), _TENSION_LEVEL, _LARGEST_TENSION_LEVEL))
 
 
 def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Tension | None:
@@ -234,26 +234,23 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
                 places = (k, first)
     if not np.isfinite(best):
         return None
-    # the instants u and w, and half the widths of the ranges that are searched around them
-    ends = [(nodes[max(k - 1, 0)], nodes[min(k + 1, len(nodes) - 1)]) for k in places]
-    point = [float(nodes[k]) for k in places]
+    # the instants u and w, and the ranges that are searched around them
+    low, point, high = (
+        nodes[np.clip(np.add(places, step), 0, len(nodes) - 1)] for step in (-1, 0, 1)
+    )
     for _ in range(_ZOOMS):
-        grids = [
-            np.append(np.linspace(low, high, _ZOOM_POINTS), centre)
-            for (low, high), centre in zip(ends, point, strict=True)
-        ]
-        u, w = (grid.ravel() for grid in np.meshgrid(*grids, indexing="ij"))
+        grid = np.vstack([np.linspace(low, high, _ZOOM_POINTS), point])
+        u, w = (axis.ravel() for axis in np.meshgrid(*grid.T, indexing="ij"))
         inside = (w >= u) & (w - u <= trip) & (u >= 0.0)
         pull = _pull(number, leaving(motion, number, u), arriving(motion, number, w))
         k = int(np.argmin(np.where(inside & (pull > level), u + w, np.inf)))
-        point = [float(u[k]), float(w[k])]
-        widths = [2.0 * ((high - low) / (_ZOOM_POINTS - 1)) for low, high in ends]
-        ends = [
-            (centre - width, centre + width) for centre, width in zip(point, widths, strict=True)
-        ]
-    u_best, w_best = point
+        point = np.array([u[k], w[k]])
+        width = 2.0 * ((high - low) / (_ZOOM_POINTS - 1))
+        low = point - width
+        high = point + width
+    begin, end = point.tolist()
     return Tension(
-        bar=bar, position=0.5 * motion.wave_speed * (w_best - u_best), time=0.5 * (u_best + w_best)
+        bar=bar, position=0.5 * motion.wave_speed * (end - begin), time=0.5 * (begin + end)
     )
 
 
@@ -414,7 +411,7 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     return tuple(overlapping)
 
 
-def force_imbalance(force_a: Values, force_b: Values) -> Array:
+def force_imbalance(force_a: Values, force_b: Values) -> Values:
     """R = 2 |P_A - P_B|/(P_A + P_B), (m,): 0 in equilibrium, 2 for a single force, 0 without force.
 
     Source: G. Ravichandran, G. Subhash, J. Am. Ceram. Soc. 77(1), 1994, 263-267; R <= 0.05.
@@ -423,4 +420,4 @@ def force_imbalance(force_a: Values, force_b: Values) -> Array:
     [0.0, 2.0, 0.1053]
     """
     total = force_a + force_b
-    return np.asarray(2.0 * np.abs(force_a - force_b) / np.where(total > 0.0, total, 1.0))
+    return 2.0 * np.abs(force_a - force_b) / np.where(total > 0.0, total, 1.0)

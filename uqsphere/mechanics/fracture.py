@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Places, Values
 from uqsphere.mechanics.criteria import CRITERIA, Demands, demand
 from uqsphere.mechanics.integrator.solve import Motion, motions
 from uqsphere.mechanics.integrator.tracked import ORDER, TERMS
@@ -157,10 +157,10 @@ class _Course:
     """One row's motion in scaled variables.
 
     start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
-    m,): of the nodes, which divide every step into 16 parts.  force, energy (16 m,): peak drive and
-    peak energy so far; the drive is the approach, whose 3/2 power is the Hertz force, or the force
-    itself for contacts that yield or differ.  forces (m, 2, 17): coefficients of such forces, the
-    states of others.  deepest (16 m, 2): peak approaches so far.
+    m,): of the nodes, which divide every step into 16 parts.  force, energy (16 m,): peak force and
+    peak energy so far.  forces (m, 2, 17): coefficients of the drive: the approach, whose 3/2 power
+    is the Hertz force, or the force itself for contacts that yield or differ.  deepest (16 m, 2):
+    peak approaches so far.
     """
 
     start: Array
@@ -197,7 +197,7 @@ def _course(motion: Motion) -> _Course:
         states=states,
         forces=forces,
         times=(start[:, None] + length[:, None] * _SHARES).ravel(),
-        force=np.maximum.accumulate(drive.max(axis=1)),
+        force=np.maximum.accumulate(_larger_force(motion.scene, drive)),
         energy=np.maximum.accumulate(_stored(motion.scene, row, drive, approach, deepest)),
         deepest=deepest,
     )
@@ -208,13 +208,21 @@ def _by_hertz(scene: Scene) -> bool:
     return scene.by_wave and scene.struck.face is None
 
 
-def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Array:
+def _larger_force(scene: Scene, drive: Array) -> Values:
+    """The larger contact force over P_c, (n,), of the drives of both contacts, (n, 2)."""
+    largest = drive.max(axis=1)
+    if _by_hertz(scene):
+        return largest**1.5
+    return largest
+
+
+def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Values:
     """Energy of both contacts in scaled variables, (...) of rows (...).
 
     It is (2/5) sum x^(5/2), theory (18), or (2/5) q (x - x_r), (C10), if contacts yield or differ.
     """
     if _by_hertz(scene):
-        return np.asarray(0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1))
+        return 0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1)
     total = np.zeros(push.shape[:-1])
     unit = scene.scales.approach[rows]
     for pole, partner in enumerate(scene.partners):
@@ -254,9 +262,7 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
         return demand(criterion, Columns({**columns, **pressed}), path.parameters)
 
     wanted = share * demand_at(top)
-    low = np.zeros(len(rows))
-    high = np.ones(len(rows))
-    return bisect(lambda part: demand_at(part * top) < wanted, low, high, _HALVINGS)[1]
+    return bisect(lambda part: demand_at(part * top) < wanted, 0.0, 1.0, _HALVINGS)[1]
 
 
 def _cross(
@@ -264,55 +270,39 @@ def _cross(
 ) -> Array:
     """Time [s], larger force [N] and energy [J] at the first crossing of rows, (3, n)."""
     scales = scene.scales
-    by_force = path.over == "force"
     time = scales.time[rows]
     force = scales.force[rows]
-    work = force * scales.approach[rows]
-    power = 1.0
-    unit = work
-    exponent = 1.0
-    if _by_hertz(scene):
-        # the Hertz force is the 3/2 power of its drive, the approach
-        power = 1.5
+    units = {"force": force, "energy": force * scales.approach[rows]}
     peaks = [getattr(course, path.over) for course in courses]
-    if by_force:
-        unit = force
-        exponent = power
-    last = [len(peak) for peak in peaks]
     if path.early:
-        echo = scene.first_echo[rows] / time
-        last = [int(np.searchsorted(c.times, t)) for c, t in zip(courses, echo, strict=True)]
-    top = np.array([peak[max(k - 1, 0)] for peak, k in zip(peaks, last, strict=True)])
-    share_at = _levels(scene, rows, path, unit * top**exponent, np.clip(shares, 0.0, 1.0))
-    level = top * share_at ** (1.0 / exponent)
-    at = np.array(
-        [
-            min(int(np.searchsorted(peak, value)), len(peak) - 1)
-            for peak, value in zip(peaks, level, strict=True)
-        ]
-    )
+        echoes = zip(peaks, courses, scene.first_echo[rows] / time, strict=True)
+        peaks = [peak[: max(np.searchsorted(c.times, echo), 1)] for peak, c, echo in echoes]
+    top = np.array([peak[-1] for peak in peaks])
+    level = top * _levels(scene, rows, path, units[path.over] * top, np.clip(shares, 0.0, 1.0))
+    levels = zip(peaks, level, strict=True)
+    at = np.array([np.searchsorted(peak[:-1], value) for peak, value in levels])
     steps = list(zip(courses, at // ORDER, strict=True))
-    states = np.moveaxis(np.stack([course.states[k] for course, k in steps]), -1, 0)
-    forces = np.moveaxis(np.stack([course.forces[k] for course, k in steps]), -1, 0)
+
+    def of_steps(name: str) -> Array:
+        return np.array([getattr(course, name)[k] for course, k in steps])
+
+    states, forces = (np.moveaxis(of_steps(name), -1, 0) for name in ("states", "forces"))
     before = np.stack([c.deepest[max(k - 1, 0)] for c, k in zip(courses, at, strict=True)])
     before[at == 0] = 0.0
 
-    def moment(share: Array) -> tuple[Array, Array]:
-        """Drives (n, 2) and energies (n,) at a fraction (n,) of the steps."""
-        approach = np.maximum(polyval(share[:, None], states, tensor=False), 0.0)
-        drive = np.maximum(polyval(share[:, None], forces, tensor=False), 0.0)
-        return drive, _stored(scene, rows, drive, approach, np.maximum(before, approach))
-
-    def below(share: Array) -> Flags:
-        drive, energy = moment(share)
-        if by_force:
-            return np.asarray(drive.max(axis=1) < level)
-        return np.asarray(energy < level)
+    def moment(share: Array) -> dict[str, Array]:
+        """Larger force and energy (n,) at a fraction (n,) of the steps."""
+        approach, drive = (
+            np.maximum(polyval(share[:, None], series, tensor=False), 0.0)
+            for series in (states, forces)
+        )
+        energy = _stored(scene, rows, drive, approach, np.maximum(before, approach))
+        return {"force": _larger_force(scene, drive), "energy": energy}
 
     high = _SHARES[at % ORDER]
-    _, high = bisect(below, high - 1.0 / ORDER, high, _HALVINGS)
-    drive, energy = moment(high)
-    start = np.array([course.start[k] for course, k in steps])
-    length = np.array([course.length[k] for course, k in steps])
-    instant = (start + high * length) * time
-    return np.stack([instant, force * (drive**power).max(axis=1), work * energy])
+    _, high = bisect(
+        lambda share: moment(share)[path.over] < level, high - 1.0 / ORDER, high, _HALVINGS
+    )
+    reached = moment(high)
+    instant = (of_steps("start") + high * of_steps("length")) * time
+    return np.stack([instant, *(unit * reached[name] for name, unit in units.items())])

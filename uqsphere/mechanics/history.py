@@ -29,7 +29,7 @@ from uqsphere.mechanics.field import (
 from uqsphere.mechanics.integrator.solve import Motion, motion, solve
 from uqsphere.mechanics.integrator.tracked import ORDER
 from uqsphere.mechanics.roots import bisect
-from uqsphere.mechanics.scene import Partner, Scene
+from uqsphere.mechanics.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,13 +138,13 @@ class History:
         axes: Axes = frame.plot(x="time [s]", y=shown, ax=ax)
         return axes
 
-    def pressure_over_contact(self, distance: Values, face: str = "A") -> Array:
+    def pressure_over_contact(self, distance: Values, face: str = "A") -> Values:
         """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]
         approach = contact.approach_at_force(force, self.hertz_constant)[:, None]
         distance = np.atleast_1d(np.asarray(distance, dtype=float))
-        return np.asarray(
-            contact.pressure_over_contact(distance, approach, self.modulus, self.effective_radius)
+        return contact.pressure_over_contact(
+            distance, approach, self.modulus, self.effective_radius
         )
 
 
@@ -376,8 +376,8 @@ def equilibrium(history: History, level: float = 0.05) -> float | None:
 
 def _rod(course: Motion) -> tuple[float, float]:
     """Wave speed [m/s] and length [m] of the rod or bar ahead of the sphere; 0 without one."""
-    partner: Partner | None = course.scene.partners[1]
-    if partner is None or partner.kind != "bar":
+    partner = course.scene.partners[1]
+    if partner.kind != "bar":
         return 0.0, 0.0
     E, density = (column[course.row] for column in course.scene.numbers(partner.table, "E density"))
     speed = float(bars.wave_speed(E, density))

@@ -157,7 +157,7 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
         "p_max": press.centre,
         "p_mean": press.mean,
         "p_field": field,
-        "p_rim": np.where(np.asarray(takes) > 0.0, hertz, field),
+        "p_rim": np.where(takes > 0.0, hertz, field),
         "a_max": press.radius,
     }
 
@@ -289,16 +289,15 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     return columns | {"leaving": back, "parting_speed": parting}
 
 
-def loss_to_waves(scene: Scene) -> Array | None:
+def loss_to_waves(scene: Scene) -> Values | None:
     """Fraction of the impact energy that a thick target radiates, (n,), (R14).
 
     The compliance is that of nu = 1/4.  None for other targets, or without a density.
     Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162, from memory.
     """
     behind, ahead = scene.partners
-    if ahead is None or behind is not None or ahead.kind != "thick":
-        return None
-    if f"{ahead.table}.density" not in scene.columns:
+    given = f"{ahead.table}.density" in scene.columns
+    if behind is not None or ahead.kind != "thick" or not given:
         return None
     scales, (E, nu, density) = scene.scales, scene.numbers(ahead.table, "E nu density")
     with np.errstate(all="ignore"):
@@ -459,7 +458,7 @@ def answers_from(
         # closed forms have no grazing contacts
         grazes=np.nan_to_num(tracked.get("grazed", np.zeros(len(scene)))),
         status=status,
-        record=np.asarray(scene.scales.time * columns["ended"]),
+        record=scene.scales.time * columns["ended"],
         steps=steps,
     )
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Flags, Values
 
@@ -79,7 +80,7 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     >>> striker_steps([0.5, 1.0, 2.0])[0][:, :3].round(4).tolist()
     [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
     """
-    ratio = np.atleast_1d(np.asarray(ratio, dtype=float))[:, None]
+    ratio = np.array(ratio, dtype=float, ndmin=2).T
     with np.errstate(all="ignore"):
         left = np.maximum((ratio - 1.0) / (ratio + 1.0), 0.0)
         shares = np.where(np.arange(_MOST_STEPS) == 0, 1.0, left ** np.arange(_MOST_STEPS))
@@ -197,9 +198,9 @@ def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | No
     >>> (pulse.breaks * 1e6).round(9).tolist()
     [[0.0, 20.0, 100.0, 120.0]]
     """
-    duration = np.atleast_1d(np.asarray(duration, dtype=float))
+    duration = np.array(duration, dtype=float, ndmin=1)
     columns = {
-        name: np.broadcast_to(np.asarray(value, dtype=float), duration.shape)
+        name: np.broadcast_to(np.array(value, dtype=float), duration.shape)
         for name, value in (numbers or {}).items()
     }
     with np.errstate(all="ignore"):
@@ -213,8 +214,7 @@ def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:
     inside = (piece >= 0) & (times < breaks[-1])
     piece = np.clip(piece, 0, pulse.coefficients.shape[1] - 1)
     local = times - breaks[piece]
-    cubic = pulse.coefficients[row][piece]
-    value = cubic[:, 0] + local * (cubic[:, 1] + local * (cubic[:, 2] + local * cubic[:, 3]))
+    value = polyval(local, pulse.coefficients[row][piece].T, tensor=False)
     if pulse.frequency[row] > 0.0:
         value = np.sin(pulse.frequency[row] * times)
     return np.where(inside, value, 0.0)
@@ -252,11 +252,9 @@ class MeasuredPulse:
 
     def pulse(self, rows: int) -> Pulse:
         """The pieces of n rows."""
-        joints = np.asarray(self.breaks)
-        cubics = np.asarray(self.coefficients)
         return Pulse(
-            breaks=np.tile(joints, (rows, 1)),
-            coefficients=np.tile(cubics, (rows, 1, 1)),
+            breaks=np.tile(self.breaks, (rows, 1)),
+            coefficients=np.tile(self.coefficients, (rows, 1, 1)),
             frequency=np.zeros(rows),
             valid=np.ones(rows, dtype=bool),
         )

@@ -25,13 +25,13 @@ from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, metal_bo
 LAW = ("onset_pressure", "hardness", "pile_up")
 
 
-def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Array:
+def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -> Values:
     """Z = (4/sqrt 3) h² sqrt(rho E/(1 - nu²)) [N s/m] of a thin unbounded plate, (R2).
 
     Source: C. Zener, Phys. Rev. 59 (1941) 669, from memory.
     """
     stiffness = np.sqrt(density * E / (1.0 - nu * nu))
-    return np.asarray(4.0 / math.sqrt(3.0) * np.square(thickness) * stiffness)
+    return 4.0 / math.sqrt(3.0) * np.square(thickness) * stiffness
 
 
 def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> ContactParameters:
@@ -220,25 +220,25 @@ RIGS: dict[str, Rig] = {
 DEFAULT_RIG = "bars"
 
 
-def drop_speed(height: Values, radius: Values, density: Values) -> Array:
+def drop_speed(height: Values, radius: Values, density: Values) -> Values:
     """Speed [m/s] of a sphere after a fall of h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²))."""
     terminal = terminal_speed(radius, density) ** 2
-    exponent = -2.0 * GRAVITY * np.asarray(height, dtype=float) / terminal
-    return np.asarray(np.sqrt(-terminal * np.expm1(exponent)))
+    exponent = -2.0 * GRAVITY * height / terminal
+    return np.sqrt(-terminal * np.expm1(exponent))
 
 
-def terminal_speed(radius: Values, density: Values) -> Array:
+def terminal_speed(radius: Values, density: Values) -> Values:
     """Terminal speed v_t [m/s] of a sphere in air: v_t² = 8 r rho g/(3 C_D rho_air)."""
-    return np.asarray(np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR)))
+    return np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR))
 
 
 def wave_loss(
     hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values
-) -> Array:
+) -> Values:
     """Fraction of the impact energy that a half-space radiates, (R14).
 
     Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162.
     """
-    compliance = _RADIATION / (density * np.asarray(shear_speed) ** 3)
-    contact_factor = np.asarray(hertz_constant) ** 1.2 * mass**-0.2
-    return np.asarray(_PULSE * compliance * contact_factor * np.asarray(speed) ** 0.6)
+    compliance = _RADIATION / (density * shear_speed**3)
+    contact_factor = hertz_constant**1.2 * mass**-0.2
+    return _PULSE * compliance * contact_factor * speed**0.6

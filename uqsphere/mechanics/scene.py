@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags, Places, Values
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.inputs import INPUTS
@@ -48,9 +48,9 @@ STATUS: dict[int, str] = {
 _SHORTEST = 1e-9
 
 
-def answered(status: Places) -> Flags:
+def answered(status: Places) -> Values:
     """Rows with values, (n,)."""
-    return np.asarray(status == 0)
+    return status == 0
 
 
 #: last parts of columns that are used in validity checks only if the contact law is elastic
@@ -214,7 +214,7 @@ class Scene:
 
     def column(self, name: str, default: float = np.nan) -> Array:
         """A column, or `default` in every row."""
-        return np.asarray(self.columns.get(name, np.full(len(self), default)), dtype=float)
+        return self.columns.get(name, np.full(len(self), default))
 
     def numbers(self, table: str, keys: str) -> list[Array]:
         """Columns of a table by their keys, separated by spaces; NaN where one is not given."""
@@ -255,7 +255,7 @@ class Scene:
         return build_pulse(self.shape, self._duration, numbers)
 
     @property
-    def _duration(self) -> Array:
+    def _duration(self) -> Values:
         """Length of the pulse, (n,) [s]; infinite for a step, and without a wave."""
         if not self.by_wave or self.shape == "step":
             return np.full(len(self), np.inf)
@@ -264,7 +264,7 @@ class Scene:
         if "pulse.duration" in self.columns:
             return self.columns["pulse.duration"]
         with np.errstate(all="ignore"):
-            return np.asarray(bars.round_trip(self.columns["striker.length"], *self._striker))
+            return bars.round_trip(self.columns["striker.length"], *self._striker)
 
     @property
     def _striker(self) -> tuple[Array, Array]:
@@ -274,20 +274,21 @@ class Scene:
         return E, c.get("striker.density", c["bars.density"])
 
     @cached_property
-    def striker_ratio(self) -> Array | None:
+    def striker_ratio(self) -> Values | None:
         """Impedance ratio of striker and bars, (n,); None for a striker of the bars' kind."""
         if STRIKER_COLUMNS.isdisjoint(self.columns):
             return None
         with np.errstate(all="ignore"):
             diameter = self.columns.get("striker.diameter", self.columns["bars.diameter"])
-            return np.asarray(bars.impedance(*self._striker, diameter) / self.scales.impedance)
+            return bars.impedance(*self._striker, diameter) / self.scales.impedance
 
     # --- the counter-bodies -----------------------------------------------------------------------
 
     @cached_property
-    def partners(self) -> tuple[Partner | None, Partner | None]:
-        """Counter-bodies at contact A (behind the sphere) and B (ahead), None without a contact."""
-        return _partner(self, 0), _partner(self, 1)
+    def partners(self) -> tuple[Partner | None, Partner]:
+        """Counter-bodies at contact A (behind the sphere; None without a contact) and B (ahead)."""
+        behind = _partner(self, 0) if self.setup.behind else None
+        return behind, _partner(self, 1)
 
     @property
     def there(self) -> tuple[Partner, ...]:
@@ -312,10 +313,10 @@ class Scene:
         return np.stack([p.reflection if p else none for p in self.partners], axis=1)
 
     @cached_property
-    def first_echo(self) -> Array:
+    def first_echo(self) -> Values:
         """Arrival of the first reflected wave at the sphere, (n,) [s]; infinite without one."""
         arrivals = np.where(self.reflections != 0.0, self.round_trips, np.inf)
-        return np.asarray(arrivals.min(axis=1))
+        return arrivals.min(axis=1)
 
     @cached_property
     def record_end(self) -> Array:
@@ -371,7 +372,7 @@ class Scene:
         beta = struck.hertz_constant
         with np.errstate(all="ignore"):
             mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
-            impedance = (ahead or struck).impedance
+            impedance = ahead.impedance
             if self.by_wave:
                 speed = 0.5 * c["striker.speed"]
                 force = impedance * speed
@@ -424,7 +425,7 @@ class Scene:
         for name, column in self.columns.items():
             if name.partition(".")[2] in _CHECKED_ONLY and self.contact_law == "hertz":
                 continue
-            allowed = np.asarray(INPUTS[name].allows(column))
+            allowed = INPUTS[name].allows(column)
             if name.endswith(("end_radius", "face_radius", "onset_pressure", "hardness")):
                 allowed |= column == np.inf
             inside &= allowed
@@ -448,7 +449,7 @@ class Scene:
         for partner in self.there:
             if partner.kind == "plate" or (behind is None and partner.kind == "bar"):
                 inside &= scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM
-        if behind is not None and ahead is not None:
+        if behind is not None:
             inside &= _between(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)
             if self.setup.weight_falls:
                 inside &= _between(scales.mass / behind.mass, MASS_RATIO)
@@ -461,16 +462,15 @@ def _between(ratio: Array, bounds: tuple[float, float]) -> Flags:
     return (ratio >= bounds[0]) & (ratio <= bounds[1])
 
 
-def _partner(scene: Scene, pole: int) -> Partner | None:
+def _partner(scene: Scene, pole: int) -> Partner:
     """The counter-body at contact A (0) or B (1); not finite in rows outside the domain."""
     c = scene.columns
     rig = scene.setup
     table = (rig.behind, rig.ahead)[pole]
     kind = rig.kind(pole, scene.options)
-    if not table:
-        return None
     E, nu, density = scene.numbers(table, "E nu density")
-    rigid, still = (np.broadcast_to(np.float64(value), len(scene)) for value in (np.inf, 0.0))
+    rigid = np.full(len(scene), np.inf)
+    still = np.zeros(len(scene))
     impedance = mass = round_trip = rigid
     reflection = takes = still
     end_radius = scene.column(f"{table}.{'end' if scene.by_wave else 'face'}_radius", np.inf)
@@ -516,7 +516,7 @@ def _partner(scene: Scene, pole: int) -> Partner | None:
             modulus=modulus,
             effective_radius=radius,
             hertz_constant=contact.hertz_constant(modulus, radius),
-            share=np.asarray(modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"]),
+            share=modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"],
             impedance=impedance,
             mass=mass,
             round_trip=round_trip,

@@ -141,7 +141,7 @@ def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, 
     return tension, 1.0 - np.sqrt(np.maximum(square, 0.0))
 
 
-def centre_ratio(contact_ratio: Array, nu: Array) -> Array:
+def centre_ratio(contact_ratio: Array, nu: Array) -> Values:
     """Hoop tension at the centre over p_0, exact: only the degrees 0 and 2 reach it.
 
     sigma = -p_0th + p_2 (7 + 2 nu)/(2 (7 + 5 nu)) with the integrals of the load in closed form.
@@ -157,15 +157,15 @@ def centre_ratio(contact_ratio: Array, nu: Array) -> Array:
     second = 0.25 * a**3 + 0.25 * c2 * zeroth
     mean = zeroth / a
     p_2 = 5.0 * (1.5 * second / a - 0.5 * mean)
-    return np.asarray(-mean + p_2 * (7.0 + 2.0 * nu) / (2.0 * (7.0 + 5.0 * nu)))
+    return -mean + p_2 * (7.0 + 2.0 * nu) / (2.0 * (7.0 + 5.0 * nu))
 
 
 def half_space_rim(
     contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike
-) -> Array:
+) -> Values:
     """I_rim^(1/m) of the half space: (1 - 2 nu)/3 [(a/r)²/2 3 m/((m - 1) (m + 2))]^(1/m)."""
     m = np.asarray(modulus, dtype=float)
     area = (
         0.5 * np.square(np.asarray(contact_ratio, dtype=float)) * 3.0 * m / ((m - 1.0) * (m + 2.0))
     )
-    return np.asarray((1.0 - 2.0 * np.asarray(nu, dtype=float)) / 3.0 * area ** (1.0 / m))
+    return (1.0 - 2.0 * np.asarray(nu, dtype=float)) / 3.0 * area ** (1.0 / m)

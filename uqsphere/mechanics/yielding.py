@@ -39,6 +39,12 @@ METAL_PILE_UP = 8.0 / 3.0
 CAP_PILE_UP = 2.0
 
 
+#: formula of numbers or of arrays
+Formula = Callable[..., Any]
+#: the formulas divide by zero at the onset, and by b = 0, in branches that are not taken
+_QUIET = np.errstate(divide="ignore", invalid="ignore")
+
+
 def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
     """Onset pressure p_y [Pa] of a metal under a sphere: 1.295 exp(0.736 nu) Y.
 
@@ -48,7 +54,7 @@ def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
     >>> round(float(metal_onset(1.0, 0.3)), 3)
     1.615
     """
-    return 1.295 * np.exp(0.736 * np.asarray(nu)) * yield_strength
+    return 1.295 * np.exp(0.736 * nu) * yield_strength
 
 
 class ContactParameters(NamedTuple):
@@ -64,7 +70,7 @@ def metal_body(yield_strength: Array, nu: Array) -> ContactParameters:
     onset = metal_onset(yield_strength, nu)
     return ContactParameters(
         np.where(np.isfinite(onset), onset, np.inf),
-        FLOW * np.asarray(yield_strength),
+        FLOW * yield_strength,
         np.full(np.shape(onset), METAL_PILE_UP),
     )
 
@@ -79,16 +85,14 @@ def softer(one: ContactParameters, other: ContactParameters) -> ContactParameter
 class FirstLoading(NamedTuple):
     """Formulas of first loading, functions of z = alpha/alpha_y, b and C; see `Face`."""
 
-    force: Callable[..., Any]
-    slope: Callable[..., Any]
-    area: Callable[..., Any]
-    area_shape: Callable[..., Any]
-    work: Callable[..., Any]
+    force: Formula
+    slope: Formula
+    area: Formula
+    area_shape: Formula
+    work: Formula
 
 
-def first_loading(
-    select: Callable[..., Any], compiled: Callable[..., Any] = lambda function: function
-) -> FirstLoading:
+def first_loading(select: Formula, compiled: Formula = lambda function: function) -> FirstLoading:
     """The formulas (C4) to (C7), stated once for arrays and for the compiled integrator.
 
     select: function of (condition, a, b) that returns a where the condition holds, else b:
@@ -198,7 +202,7 @@ class Face:
     def at(self, rows: int | Places) -> Face:
         """The law of some rows."""
         picked = np.atleast_1d(rows)
-        return Face(**{name: getattr(self, name)[picked] for name in self.__dataclass_fields__})
+        return Face(**{name: column[picked] for name, column in vars(self).items()})
 
     @property
     def softening(self) -> Array:
@@ -206,16 +210,16 @@ class Face:
         return self.pile_up * self.hardness / self.onset - 1.0
 
     @property
-    def valid(self) -> Flags:
+    @_QUIET
+    def valid(self) -> Values:
         """Rows with valid parameters: b = 0, or 0.2 <= b <= 100; or elastic, with infinite onset.
 
         Between 0 and 0.2 the law has a singularity near onset; above 100 it is Hertz's to rounding.
         """
         elastic = np.isinf(self.onset)
-        with np.errstate(invalid="ignore"):
-            b = np.where(elastic, 1.0, self.softening)
+        b = np.where(elastic, 1.0, self.softening)
         ordered = (self.pile_up >= 1.0) & (self.onset > 0.0) & (self.hardness >= self.onset)
-        return np.asarray(elastic | (ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))))
+        return elastic | (ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0))))
 
     @property
     def own(self) -> Flags:
@@ -225,36 +229,33 @@ class Face:
     @property
     def onset_approach(self) -> Array:
         """alpha_y [m], (C2)."""
-        return np.asarray(
-            self.effective_radius * np.square(0.5 * math.pi * self.onset / self.modulus)
-        )
+        ratio: Array = np.square(0.5 * math.pi * self.onset / self.modulus)
+        return self.effective_radius * ratio
 
     @property
     def onset_force(self) -> Array:
         """P_y [N], (C2)."""
         return (2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach
 
-    def force(self, depth: Array) -> Array:
+    @_QUIET
+    def force(self, depth: Array) -> Values:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
-        return self._on_first_loading(_FIRST_LOADING.force, depth)
+        return _FIRST_LOADING.force(depth, self.softening)
 
-    def slope(self, depth: Array) -> Array:
+    @_QUIET
+    def slope(self, depth: Array) -> Values:
         """dL/dz on first loading, (C4)."""
-        return self._on_first_loading(_FIRST_LOADING.slope, depth)
+        return _FIRST_LOADING.slope(depth, self.softening)
 
-    def area(self, depth: Array) -> Array:
+    @_QUIET
+    def area(self, depth: Array) -> Values:
         """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
-        return self._on_first_loading(_FIRST_LOADING.area, depth, self.pile_up)
+        return _FIRST_LOADING.area(depth, self.softening, self.pile_up)
 
-    def work(self, depth: Array) -> Array:
+    @_QUIET
+    def work(self, depth: Array) -> Values:
         """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
-        return self._on_first_loading(_FIRST_LOADING.work, depth)
-
-    def _on_first_loading(
-        self, formula: Callable[..., Any], depth: Array, *pile_up: Array
-    ) -> Array:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(formula(depth, self.softening, *pile_up))
+        return _FIRST_LOADING.work(depth, self.softening)
 
     def depth_at(self, force: Array) -> Array:
         """z at which first loading reaches the force P [N]."""
@@ -273,13 +274,13 @@ class Face:
         depth = newton(lambda z: (self.work(z) - np.maximum(work, 0.4)) / self.force(z), start, 1.0)
         return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
 
+    @_QUIET
     def recovery(self, depth: Array) -> Array:
         """alpha_e/alpha_y: the approach recovered by unloading from z, (C8)."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(
-                depth > 1.0, self.force(depth) / np.sqrt(self.area(depth)), np.maximum(depth, 0.0)
-            )
+        beyond = self.force(depth) / np.sqrt(self.area(depth))
+        return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0))
 
+    @_QUIET
     def pressed(self, depth: Array) -> Press:
         """The state of the contact at the largest approach z alpha_y."""
         force = self.force(depth)
@@ -289,14 +290,11 @@ class Face:
         force_y = self.onset_force
         p_y = self.onset
         hardness = self.hardness
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
-            beyond = hardness - (hardness - mean) * (hardness - p_y) / (
-                hardness - (2.0 / 3.0) * p_y
-            )
+        mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
+        beyond = hardness - (hardness - mean) * (hardness - p_y) / (hardness - (2.0 / 3.0) * p_y)
         stored = 0.4 * force * recovered
         return Press(
-            depth=np.asarray(depth),
+            depth=depth,
             approach=depth * alpha_y,
             force=force * force_y,
             radius=np.sqrt(area * self.effective_radius * alpha_y),
@@ -307,7 +305,7 @@ class Face:
             plastic=np.where(depth > 1.0, (self.work(depth) - stored) * force_y * alpha_y, 0.0),
         )
 
-    def restitution(self, depth: Array) -> Array:
+    def restitution(self, depth: Array) -> Values:
         """Coefficient of restitution of an impact to the depth z, without waves."""
         recovered = 0.4 * self.force(depth) * self.recovery(depth)
         return np.sqrt(recovered / self.work(depth))
