@@ -6,14 +6,13 @@ stand in a heading (``force [kN]``, ``force_kN``, ``force in kN``), in a row bel
 All faults of a kind are one message.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io
 import math
 import re
 import warnings
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -104,17 +103,16 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     heading = heading[:200]
     brackets = [b for b in _BRACKET.finditer(heading) if _known_unit(b[1], dimension)]
     if len(brackets) == 1:
-        (bracket,) = brackets
-        name = heading[: bracket.start()].strip()
-        behind = heading[bracket.end() :]
+        name, _, behind = heading.partition(brackets[0][0])
+        name = name.strip()
         if name and not (factor_in_heading(behind) or _TIMES.search(name)):
-            return name, _known_unit(bracket[1], dimension)
+            return name, _known_unit(brackets[0][1], dimension)
     for gap in _COLUMN_UNIT.finditer(heading):
         name = heading[: gap.start()].strip()
         rest = heading[gap.end() :].strip()
         if not name or rest.isdigit() or _is_open(name) or factor_in_heading(name):
             continue
-        if rest == "in" and not set("/,") & set(gap.group()):
+        if rest == "in" and not set("/,") & set(gap[0]):
             continue  # the inner diameter D_in is no length in inches
         unit = _known_unit(rest, dimension)
         if unit is not None:
@@ -155,18 +153,17 @@ def _unknown_unit(heading: str, dimension: str) -> str:
         return "a bracket of its heading is not closed. Quote headings that contain the divider"
     brackets = _BRACKET.findall(heading)
     text = (brackets or re.split(r"[\s_/,]+", heading))[-1].strip()
-    units = [unit for unit in UNITS[dimension] if unit]
     factor = factor_in_heading(heading)
     if factor:
         message = (
             f"its heading {as_text(heading, 60)!r} has the factor {factor!r}. Multiply the values "
             "by it"
         )
-        for unit in units:
+        for unit in filter(None, UNITS[dimension]):
             if re.search(rf"(?<!\w){re.escape(unit)}(?!\w)", heading):
                 return f"{message} and write [{unit}]"
         return message
-    if text in units:
+    if text and text in UNITS[dimension]:
         return f"is {text!r} its unit? Write a name and [{text}]"
     message = f"{as_text(text, 30)!r} is not a unit of this column{alien(text)}"
     near = nearest_unit(text, dimension)
@@ -203,11 +200,10 @@ def _decimal_mark(texts: Iterable[str]) -> str:
 
 
 def _lines(lines: Sequence[int]) -> str:
-    noun = "lines" if len(lines) > 1 else "line"
-    text = f"{noun} {', '.join(map(str, lines[:_MOST_LINES]))}"
+    text = ", ".join(map(str, lines[:_MOST_LINES]))
     if len(lines) > _MOST_LINES:
         text += f" and {len(lines) - _MOST_LINES} more"
-    return text
+    return f"line{'s' * (len(lines) > 1)} {text}"
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -225,7 +221,7 @@ class Table:
     lines: list[int]
     notes: list[str] = field(default_factory=list)
     decimal: str = ""
-    apart: frozenset[int] = frozenset()
+    apart: set[int] = field(default_factory=set)
     faults: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -311,13 +307,11 @@ class Table:
             column = heading
         if dimension != "number":
             factor = self._factor(heading, dimension, unit, key)
-        cells = self._parsed([row[at] for row in self.rows], blank)
-        for message in dict.fromkeys(cell for cell in cells if isinstance(cell, str)):
-            self.refuse(key, f"{column}: {message}", np.array([cell == message for cell in cells]))
+        values, faults = self._parsed([row[at] for row in self.rows], blank)
+        for message, places in faults.items():
+            self.refuse(key, f"{column}: {message}", places)
         with np.errstate(over="ignore"):
-            values: Array = factor * np.array(
-                [math.nan if isinstance(cell, str) else cell for cell in cells]
-            )
+            values *= factor
         self.refuse(key, f"{column}: a number is too large", np.abs(values) > LARGEST_NUMBER)
         return values
 
@@ -350,9 +344,9 @@ class Table:
             )
         return units[unit or in_heading or ""]
 
-    def _parsed(self, texts: list[str], blank: bool) -> list[float | str]:
-        """The number of each cell of a column, nan where there need be none, or what is wrong with
-        the cell.
+    def _parsed(self, texts: list[str], blank: bool) -> tuple[Array, dict[str, list[int]]]:
+        """The number of each cell of a column (n,), nan where there is none, and what is wrong with
+        cells: the places of each fault.
         """
         thousands = "a mark of thousands: write the number without it"
         certain = _decimal_mark(texts)
@@ -373,44 +367,51 @@ class Table:
                     f'{perhaps!r} can be a decimal comma or a mark of thousands: add decimal = ","'
                 )
         number = NUMBER.get(mark, NUMBER["."])
+        no_data = self._no_data
+        values = np.full(len(texts), math.nan)
+        faults = defaultdict[str, list[int]](list)
         strange = ""
-
-        def parsed(text: str) -> float | str:
-            nonlocal strange
+        for k, text in enumerate(texts):
+            if k in no_data or (blank and text.lower() in NOTHING):
+                continue
             if doubt and _PERHAPS.fullmatch(text):
-                return doubt
-            if number.fullmatch(text):
-                return float(text.replace(",", "."))
-            if _MARKED.fullmatch(text):
-                return thousands
-            if other and other in text:
-                return "decimal point and comma in one column: write all alike"
-            if not text:
-                return "an empty cell"
-            if text.startswith("="):
-                return (
+                message = doubt
+            elif number.fullmatch(text):
+                values[k] = float(text.replace(",", "."))
+                continue
+            elif _MARKED.fullmatch(text):
+                message = thousands
+            elif other and other in text:
+                message = "decimal point and comma in one column: write all alike"
+            elif not text:
+                message = "an empty cell"
+            elif text.startswith("="):
+                message = (
                     "a formula without a stored value: save the file in a spreadsheet program, or "
                     "paste values"
                 )
-            if not strange:  # all that are no numbers are told by the first
-                strange = f"{as_text(text, 60)!r} is not a number{alien(text)}"
-                if _is_numeric(text):
-                    strange += f" with decimal = {self.decimal!r}"
-                if _DATE.fullmatch(text):
-                    strange += (
-                        "; a cell of a workbook in the format of a date? Change it to a number"
-                    )
-            return strange
+            else:  # all that are no numbers are told by the first
+                strange = strange or self._strange(text)
+                message = strange
+            faults[message].append(k)
+        return values, faults
 
-        def need_be_none(k: int, text: str) -> bool:
-            return k in self._no_data or (blank and text.lower() in NOTHING)
+    def _strange(self, text: str) -> str:
+        """What is wrong with a cell that is no number."""
+        message = f"{as_text(text, 60)!r} is not a number{alien(text)}"
+        if _is_numeric(text):
+            message += f" with decimal = {self.decimal!r}"
+        if _DATE.fullmatch(text):
+            message += "; a cell of a workbook in the format of a date? Change it to a number"
+        return message
 
-        return [math.nan if need_be_none(k, text) else parsed(text) for k, text in enumerate(texts)]
-
-    def refuse(self, key: str, message: str, wrong: Flags) -> None:
-        """Note that rows are wrong, (n,); each line is told of once for one fault."""
-        if wrong.any():
-            lines = [*self.faults.get((key, message), []), *np.array(self.lines)[wrong].tolist()]
+    def refuse(self, key: str, message: str, wrong: Flags | list[int]) -> None:
+        """Note that rows are wrong, flags (n,) or their places; each line is told of once for one
+        fault.
+        """
+        lines = np.array(self.lines)[wrong].tolist()
+        if lines:
+            lines = [*self.faults.get((key, message), []), *lines]
             self.faults[key, message] = list(dict.fromkeys(lines))
 
     def flags(
@@ -422,20 +423,19 @@ class Table:
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]
-        wrong = [text not in words and k not in self._no_data for k, text in enumerate(texts)]
-        if any(wrong):
-            text = as_text(texts[wrong.index(True)], 60)
-            self.refuse(key, f"{column}: {text!r} is not {meant}", np.array(wrong))
+        wrong = [k for k, text in enumerate(texts) if not (text in words or k in self._no_data)]
+        if wrong:
+            self.refuse(key, f"{column}: {as_text(texts[wrong[0]], 60)!r} is not {meant}", wrong)
         return np.array([words.get(text, False) for text in texts], dtype=bool)
 
     def check(self) -> None:
         """Raise TableError with every fault noted so far."""
-        faults = dict(self.faults)
         for k, message in self._no_data.items():
-            faults["", message] = [*faults.get(("", message), []), self.lines[k]]
-        if faults:
-            messages = [f"{self.name}: {_lines(at)}: {text}" for (_, text), at in faults.items()]
-            raise TableError("\n".join(messages), next(iter(faults))[0])
+            self.refuse("", message, [k])
+        if self.faults:
+            faults = self.faults.items()
+            messages = [f"{self.name}: {_lines(lines)}: {text}" for (_, text), lines in faults]
+            raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:
         """Check, and note rows that seem to be no further data: repeated ones, and sums of the
@@ -470,9 +470,9 @@ class Table:
                 columns.append(column)
         if not columns or rows < 5:
             return
-        digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
+        digits = np.strings.str_len(np.strings.partition(columns, ".")[2])
         values = np.array(columns, dtype=float)
-        steps = 10.0 ** -np.array(digits)
+        steps = 10.0**-digits
         for k in range(max(3, rows - 8), rows):
             above = values[:, :k]
             step = steps[:, k]
@@ -509,22 +509,23 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     lines, notes = read_lines(path, sheet=sheet)
     name = as_text(path.name)
     live = {k: line for k, line in lines.items() if not is_comment(line)}
-    ends = [*live.values()][:1] + [*live.values()][-1:]  # a title has no divider
-    divider = next((mark for mark in "\t;" if mark in "".join(ends)), ",")
+    texts = [*live.values()]
+    ends = "".join(texts[:1] + texts[-1:])  # a title has no divider
+    divider = next((mark for mark in "\t;" if mark in ends), ",")
     rows = {k: _trimmed(row) for k, row in cells_of(live, divider, name).items()}
     above = [*rows][: _place_of_headings([*rows.values()])]
     if above:
         notes.append(f"{name}: {_lines(above)}: above the headings, left out")
-        rows = {k: row for k, row in rows.items() if k not in above}
-    start = min(rows, default=0)
-    end = max(rows, default=0)
-    comments = [k for k in lines if k not in live and start < k < end]
+    for k in above:
+        del rows[k]
+    span = range(min(rows, default=0), max(rows, default=0))
+    comments = [k for k in lines if k not in live and k in span]
     if comments:
         notes.append(f"{name}: {_lines(comments)}: comments (#), left out")
-    empty = {k: [""] for k in range(start, end) if k not in lines}
-    apart = frozenset(k for k in rows if k - 1 in empty)
+    empty = {k: [""] for k in span if k not in lines}
+    apart = {k for k in rows if k - 1 in empty}
     if empty and max(map(len, rows.values())) == 1:
-        rows = dict(sorted({**rows, **empty}.items()))
+        rows = dict(sorted((rows | empty).items()))
     elif empty:
         notes.append(f"{name}: {_lines([*empty])}: empty, left out")
     try:
@@ -555,15 +556,15 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
 
     words = [not any(map(_is_numeric, row)) for row in rows]
     cells = [[*filter(None, row)] for row in rows]
-    several = [len(texts) >= min(2, max(map(len, rows))) for texts in cells]
+    least = min(2, max(map(len, rows), default=0))
     for place, texts in enumerate(cells[:_PREAMBLE]):
-        if words[place] and several[place] and any(map(has_unit, texts)):
+        if words[place] and len(texts) >= least and any(map(has_unit, texts)):
             return place
     place = next((k for k, texts in enumerate(cells) if len(texts) > 1 or not words[k]), 0)
     if place > 0 and words[place]:
         return place
     numbers = [len(texts) > 1 and all(map(_is_numeric, texts)) for texts in cells]
-    below = len(rows) - next((k for k, whole in enumerate(numbers[::-1]) if not whole), len(rows))
+    below = max((k for k, whole in enumerate(numbers, 1) if not whole), default=0)
     place = below - 1
     if place > 0 and are_units(rows[place]):
         place -= 1
@@ -627,9 +628,7 @@ def cells_of(
     def divided(line: str) -> list[str]:
         if divider == " ":
             return line.split()
-        cells = line.split(divider)
-        if '"' in line:
-            cells = next(csv.reader([line], delimiter=divider, strict=strict))
+        (cells,) = csv.reader([line], delimiter=divider, strict=strict)
         return [cell.strip() for cell in cells]
 
     try:
@@ -693,7 +692,7 @@ def are_units(row: list[str]) -> bool:
 
     # one of them may be misspelled, or have a factor, which the column tells
     certain = any(len(text) > 1 and text in _ALL_UNITS for text in texts)
-    return certain and all(text in _ALL_UNITS or is_like_a_unit(text) for text in texts)
+    return certain and all(map(is_like_a_unit, texts))
 
 
 # --- workbooks ------------------------------------------------------------------------------------
@@ -718,7 +717,7 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
                 f"there is no sheet {wanted!r} in {name!r}, which has {listed}", "sheet"
             )
         full = {sheet: _rows_of(sheet) for sheet in sheets if wanted in ("", sheet.title)}
-        sheet, *others = [sheet for sheet, rows in full.items() if rows] or sheets[:1]
+        sheet, *others = [sheet for sheet, rows in full.items() if rows] or full
         rows = full[sheet]
         if formulas:
             written = _rows_of(load_workbook(io.BytesIO(data), read_only=True)[sheet.title])
@@ -754,8 +753,7 @@ def _has_formulas(data: bytes, name: str) -> bool:
         raise TableError(
             f"{name!r} unpacks to {size >> 20:,} MiB; at most {8 * LARGEST >> 20} MiB are read"
         )
-    formulas = False
-    cells = 0
+    formulas, cells = False, 0
     for part in archive.namelist():
         if part.startswith("xl/worksheets/"):
             content = archive.read(part)
