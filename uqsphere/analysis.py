@@ -260,43 +260,36 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
 PROBES = 3
 
 
-def _called(model: Model, columns: dict[str, Array]) -> Array:
-    """The model's answers (n,); rows at which it raises by themselves are nan.
+def _called(model: Model, columns: dict[str, Array], probed: bool = False) -> Array:
+    """The model's answers (n,), in halves where it raises; a row at which it raises is nan.
+
+    probed : whether it is known to answer some row by itself.
 
     Raises UsageError for what is no model, answers in another form, or raises at each of a few
         rows.
     """
-    n = len(next(iter(columns.values())))
     if not callable(model):
         raise UsageError(
             f"a model is a function of a dict of name -> (n,), not {type(model).__name__}"
         )
+    n = len(next(iter(columns.values())))
+
+    def of_rows(start: int, end: int) -> Array:
+        part = {name: column[start:end] for name, column in columns.items()}
+        return _called(model, part, probed=True)
+
     try:
         return _checked(model(columns), n)
     except UsageError:
         raise
     except Exception as error:
-        for place in np.linspace(0, n - 1, PROBES).astype(int):
-            row = {name: column[place : place + 1] for name, column in columns.items()}
-            if np.isfinite(_by_parts(model, row)).any():
-                return _by_parts(model, columns)
-        text = f"{type(error).__name__}: {as_text(error)}"
-        raise UsageError(f"the model raises at each of {PROBES} rows: {text}") from error
-
-
-def _by_parts(model: Model, columns: dict[str, Array]) -> Array:
-    """The model's answers (n,), in halves where it raises; a row at which it raises is nan."""
-    n = len(next(iter(columns.values())))
-    try:
-        return _checked(model(columns), n)
-    except UsageError:
-        raise
-    except Exception:
-        if n == 1:
+        if n == 1 and probed:
             return np.array([np.nan])
-        first = {name: column[: n // 2] for name, column in columns.items()}
-        rest = {name: column[n // 2 :] for name, column in columns.items()}
-        return np.concatenate([_by_parts(model, first), _by_parts(model, rest)])
+        places = np.linspace(0, n - 1, PROBES).astype(int)
+        if not probed and not any(np.isfinite(of_rows(k, k + 1)).any() for k in places):
+            text = f"{type(error).__name__}: {as_text(error)}"
+            raise UsageError(f"the model raises at each of {PROBES} rows: {text}") from error
+        return np.concatenate([of_rows(0, n // 2), of_rows(n // 2, n)])
 
 
 def _checked(answers: Any, n: int) -> Array:
@@ -425,12 +418,12 @@ def failure_probability(
             rare.Evaluator(function, len(laws.names), budget=evaluations, seed=seed),
             accuracy=accuracy,
         )
-        nearest = [laws.physical(point.point[None])[0].tolist() for point in search.points[:1]]
+    point: dict[str, float] = {}
+    for nearest in search.points[:1]:
+        numbers = laws.physical(nearest.point[None])[0].tolist()
+        point = dict(zip(laws.names, numbers, strict=True))
     return Failure(
-        probability=search.estimate,
-        sure=search.sure,
-        warning=search.warning,
-        design_point=dict(zip(laws.names, *nearest, strict=True)) if nearest else {},
+        probability=search.estimate, sure=search.sure, warning=search.warning, design_point=point
     )
 
 
@@ -601,10 +594,9 @@ def lognormal_fit(
 
 
 def _fitted(values: Any, stopped: Any, counts: Any, family: str) -> StrengthFit:
-    if hasattr(values, "reindex"):
-        if hasattr(stopped, "reindex"):
-            stopped = in_order_of(stopped, values.index, "stopped")
-        if hasattr(counts, "reindex"):
-            counts = in_order_of(counts, values.index, "counts")
+    columns = {"stopped": stopped, "counts": counts}
+    for name, column in columns.items():
+        if hasattr(values, "reindex") and hasattr(column, "reindex"):
+            columns[name] = in_order_of(column, values.index, name)
     with _refusing():
-        return fit_strength(make_tests(values, stopped, counts), STRENGTHS[family])
+        return fit_strength(make_tests(values, **columns), STRENGTHS[family])

@@ -1,16 +1,15 @@
 """Speed against error: the integrator beside SciPy's, and for the quantities of a study."""
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
@@ -18,11 +17,9 @@ from uqsphere.exchange import sample
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.mechanics.scene import Scene
-from uqsphere.models.scene import solve_scene
+from uqsphere.models.scene import scene_at, solve_scene
+from uqsphere.propagation.design import Design
 from uqsphere.study import Study, load_study, shipped_studies
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: granite of 20 mm between long steel bars of 40 mm; density and striker set mass and pulse number
 _NUMBERS = {
@@ -83,8 +80,6 @@ def _by_scipy(scene: Scene, tolerance: float) -> Array:
     """
     from scipy.integrate import solve_ivp
 
-    solve: Any = solve_ivp
-
     def slope(t: float, y: Array, mu: float, f: float) -> list[float]:
         q1 = max(y[0], 0.0) ** 1.5
         q2 = max(y[1], 0.0) ** 1.5
@@ -97,7 +92,7 @@ def _by_scipy(scene: Scene, tolerance: float) -> Array:
         state = np.zeros(3)
         peak = 0.0
         for f, *span in ((1.0, 0.0, theta), (0.0, theta, theta + AFTER)):
-            solution = solve(
+            solution: Any = solve_ivp(
                 slope,
                 span,
                 state,
@@ -127,8 +122,6 @@ def bench(*, rows: int = 1024) -> pd.DataFrame:
     microseconds_per_row [us], median_error, largest_error (relative, against the model at 1e-10),
     failed (share of the rows without an answer).
     """
-    import pandas as pd
-
     scene = scattered_scene(max(rows, 2))
     few = scene.at(slice(max(2, len(scene) // 100)))
     entries = compared("scipy DOP853", _by_scipy, few, repeats=1)
@@ -146,9 +139,8 @@ def compared(
     `scattered_scene`.
     """
     contender(scene.at(slice(2)), TOLERANCES[0])  # imports and compiles at its first call
-    expected = _answers(scene, "full", _REFERENCE, ("p_max",))
-    solved = partial(contender, scene)
-    return _table({"case": case, "quantity": "p_max"}, solved, expected, repeats)
+    expected = _answers(scene, "full", ("p_max",), _REFERENCE)
+    return _table(case, "p_max", partial(contender, scene), expected, repeats)
 
 
 def _timed(
@@ -158,18 +150,22 @@ def _timed(
     entries = []
     for names in groups:
         label = names[0] if len(names) == 1 else "all together"
-        solved = partial(_answers, scene, fidelity, names=names)
-        entries += _table({"case": case, "quantity": label}, solved, solved(_REFERENCE), _REPEATS)
+        solved = partial(_answers, scene, fidelity, names)
+        entries += _table(case, label, solved, solved(_REFERENCE))
     return entries
 
 
-def _answers(scene: Scene, fidelity: str, tolerance: float, names: Sequence[str]) -> Array:
+def _answers(scene: Scene, fidelity: str, names: Sequence[str], tolerance: float) -> Array:
     answers = solve_scene(scene, fidelity, tolerance=tolerance, threads=1, quantities=names)
     return np.stack([answers.values[name] for name in names])
 
 
 def _table(
-    head: dict[str, str], solved: Callable[[float], Array], expected: Array, repeats: int
+    case: str,
+    quantity: str,
+    solved: Callable[[float], Array],
+    expected: Array,
+    repeats: int = _REPEATS,
 ) -> list[dict[str, Any]]:
     """One row for each tolerance; `expected` has quantities (k, n), which `solved` gives."""
     entries = []
@@ -185,7 +181,8 @@ def _table(
         kept = errors[:, answered] if answered.any() else np.array(np.nan)
         entries.append(
             {
-                **head,
+                "case": case,
+                "quantity": quantity,
                 "tolerance": tolerance,
                 "microseconds_per_row": 1e6 * min(seconds) / len(answered),
                 "median_error": np.median(kept),
@@ -196,11 +193,6 @@ def _table(
     return entries
 
 
-def bench_text(*, rows: int = 1024) -> str:
-    """The table, with the versions."""
-    return _text("p_max and contact_duration", bench(rows=rows))
-
-
 def bench_study(study: Study, *, rows: int = 256) -> pd.DataFrame:
     """The table of `bench` for every quantity of a study asked for alone, and all together.
 
@@ -209,8 +201,6 @@ def bench_study(study: Study, *, rows: int = 256) -> pd.DataFrame:
     study : of the impact model; between platens nothing is integrated.
     rows : samples of its random variables.
     """
-    import pandas as pd
-
     scene, names = _scene_of(study, rows)
     groups = dict.fromkeys([*((name,) for name in names), tuple(names)])
     return pd.DataFrame(_timed(study.title, scene, study.model.fidelity, groups))
@@ -218,26 +208,26 @@ def bench_study(study: Study, *, rows: int = 256) -> pd.DataFrame:
 
 def _scene_of(study: Study, rows: int) -> tuple[Scene, Sequence[str]]:
     """Rows of a study's random variables, and the quantities that a run of it asks for."""
-    from uqsphere.models.scene import scene_at
-    from uqsphere.propagation.design import Design
-
     design = Design.of(study)
     drawn = sample(design.judged, max(rows, 2))
     inputs = [name for name in design.inputs if name in drawn.columns]
     return scene_at(design.judged, inputs, drawn[inputs].to_numpy()), design.columns
 
 
-def bench_study_text(path: Path, *, rows: int = 256) -> str:
-    """The table of a study, with the versions."""
-    study = load_study(path)
-    if study.black_box or RIGS[study.rig].by_press:
-        raise UsageError(
-            f"{path} has nothing to integrate: bench needs a study of a wave, a blow or a weight"
-        )
-    return _text(path.name, bench_study(study, rows=rows).drop(columns="case"))
-
-
-def _text(head: str, table: pd.DataFrame) -> str:
+def bench_text(path: Path | None = None, *, rows: int = 1024) -> str:
+    """The table of `bench`, or of the study of a file, with the versions."""
+    head = "p_max and contact_duration"
+    if path is None:
+        table = bench(rows=rows)
+    else:
+        head = path.name
+        study = load_study(path)
+        if study.black_box or RIGS[study.rig].by_press:
+            raise UsageError(
+                f"{path} has nothing to integrate: bench needs a study of a wave, a blow or a "
+                "weight"
+            )
+        table = bench_study(study, rows=rows).drop(columns="case")
     names = ("numpy", "scipy", "numba")
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in names)
     shown = table.to_string(index=False, float_format="{:.3g}".format)

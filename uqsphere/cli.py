@@ -2,9 +2,6 @@
 to stderr.
 """
 
-from __future__ import annotations
-
-import argparse
 import contextlib
 import gc
 import json
@@ -13,6 +10,7 @@ import os
 import signal
 import sys
 import warnings
+from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from importlib import import_module
@@ -21,12 +19,9 @@ from inspect import getdoc
 from itertools import chain
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from uqsphere.errors import UqsphereError, UsageError
-
-if TYPE_CHECKING:
-    from uqsphere.results.run import Run
 
 #: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
@@ -137,7 +132,7 @@ def _labs_installed() -> bool:
 # --- the parser -----------------------------------------------------------------------------------
 
 
-class _Parser(argparse.ArgumentParser):
+class _Parser(ArgumentParser):
     """A parser whose error names the command that was probably meant."""
 
     def error(self, message: str) -> NoReturn:
@@ -152,21 +147,21 @@ class _Parser(argparse.ArgumentParser):
         super().error(message)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> ArgumentParser:
     codes = "\n".join(f"  {code:<4}{text}" for code, text in EXIT_CODES.items())
     parser = _Parser(
         prog="uqsphere",
         description="Fracture risk and uncertainty quantification of brittle spheres under impact.",
         epilog="start with:\n  uqsphere new granite -o rock.toml\n  uqsphere run rock.toml\n\n"
         f"exit codes:\n{codes}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--version", action="store_true", help="versions of uqsphere and its dependencies"
     )
     commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
 
-    def add(command: Callable[[argparse.Namespace], int | None]) -> argparse.ArgumentParser:
+    def add(command: Callable[[Namespace], int | None]) -> ArgumentParser:
         """The parser of a command, whose docstring has its help and its examples."""
         text, *lines = (getdoc(command) or " ").splitlines()
         examples = lines[1:]
@@ -176,12 +171,12 @@ def _parser() -> argparse.ArgumentParser:
             help=text[:1].lower() + text[1:-1],
             description=text,
             epilog="\n  ".join([heading, *examples]),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=RawDescriptionHelpFormatter,
         )
         added.set_defaults(command=command)
         return added
 
-    def directory(command: argparse.ArgumentParser, text: str) -> None:
+    def directory(command: ArgumentParser, text: str) -> None:
         command.add_argument("--out", type=Path, metavar="DIR", help=text)
 
     new = add(_new)
@@ -245,7 +240,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _with_study(parser: argparse.ArgumentParser) -> None:
+def _with_study(parser: ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="study file; - reads stdin")
     parser.add_argument(
         "--set",
@@ -257,7 +252,7 @@ def _with_study(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _with_model(parser: argparse.ArgumentParser) -> None:
+def _with_model(parser: ArgumentParser) -> None:
     parser.add_argument(
         "-j",
         "--processes",
@@ -283,21 +278,21 @@ def _with_model(parser: argparse.ArgumentParser) -> None:
 
 def _count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a positive integer")
+        raise ArgumentTypeError(f"{text!r} must be a positive integer")
     return int(text)
 
 
 # --- what commands share --------------------------------------------------------------------------
 
 
-def _loaded(options: argparse.Namespace) -> Any:
+def _loaded(options: Namespace) -> Any:
     """The study of a command; its warnings go to stderr."""
     study = _reader(options)(())
     _warn(study.warnings)
     return study
 
 
-def _reader(options: argparse.Namespace) -> Callable[[Sequence[str]], Any]:
+def _reader(options: Namespace) -> Callable[[Sequence[str]], Any]:
     """A function that gives the study of a file or of standard input, with more PATH=VALUE set."""
     from uqsphere.study import load_study
 
@@ -315,7 +310,7 @@ def _warn(warnings: Iterable[str]) -> None:
         print(f"warning: {warning}", file=sys.stderr)
 
 
-def _folder(options: argparse.Namespace, what: str) -> Path:
+def _folder(options: Namespace, what: str) -> Path:
     """The directory of a command's results: the one requested, or one named after the study."""
     if options.out is not None:
         return Path(options.out)
@@ -323,7 +318,7 @@ def _folder(options: argparse.Namespace, what: str) -> Path:
     return Path(f"{stem}-{what}")
 
 
-def _budget(options: argparse.Namespace) -> float | None:
+def _budget(options: Namespace) -> float | None:
     """The time budget [s] of the command line; None without one."""
     from uqsphere.units import parse_value
 
@@ -367,7 +362,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
 
 
 @contextlib.contextmanager
-def _cluster(options: argparse.Namespace) -> Iterator[Any]:
+def _cluster(options: Namespace) -> Iterator[Any]:
     """A client of the Dask cluster of a command; None without one."""
     if options.dask is None:
         yield None
@@ -397,7 +392,7 @@ def _templates() -> dict[str, Path]:
     return {**shipped, **{path.stem: path for path in sorted(folder.glob("lab_*.toml"))}}
 
 
-def _new(options: argparse.Namespace) -> None:
+def _new(options: Namespace) -> None:
     """Write a commented study to start from.
 
     uqsphere new
@@ -440,7 +435,7 @@ def _new(options: argparse.Namespace) -> None:
     print(f"next: {LAB_TEMPLATES.get(template, 'uqsphere check')} {target}")
 
 
-def _check(options: argparse.Namespace) -> None:
+def _check(options: Namespace) -> None:
     """Validate a study; print inputs and strengths as read, and the expected cost of a run.
 
     uqsphere check rock.toml
@@ -452,20 +447,19 @@ def _check(options: argparse.Namespace) -> None:
     from uqsphere.report.study import cost, described
 
     study = _loaded(options)
-    if study.black_box or study.rig:
-        check_scene(study)
+    check_scene(study)
     print(described(study), flush=True)  # what follows loads the integrator, and times it
     print(f"\n{cost(study)}")
 
 
-def _exit_code(runs: Iterable[Run]) -> int:
+def _exit_code(runs: Iterable[Any]) -> int:
     """NOT_MET if any decision with a target is not met."""
     decisions = chain.from_iterable(run.results.decisions for run in runs)
     missed = any(each.target is not None and each.verdict != "met" for each in decisions)
     return NOT_MET if missed else 0
 
 
-def _run(options: argparse.Namespace) -> int:
+def _run(options: Namespace) -> int:
     """Run a study; write its results and its report.
 
     uqsphere run rock.toml
@@ -509,7 +503,7 @@ def _run(options: argparse.Namespace) -> int:
     return _exit_code([finished])
 
 
-def _sweep(options: argparse.Namespace) -> int:
+def _sweep(options: Namespace) -> int:
     """Run a study for each value of one or two keys, and tabulate the number to use.
 
     uqsphere sweep chute.toml --over target.thickness="10 mm, 15 mm, 25 mm"
@@ -559,7 +553,7 @@ def _sweep(options: argparse.Namespace) -> int:
 
 
 def _points_here(
-    options: argparse.Namespace, sweep: Any, waiting: Sequence[Any], stop: Callable[[], bool]
+    options: Namespace, sweep: Any, waiting: Sequence[Any], stop: Callable[[], bool]
 ) -> Iterator[Any]:
     """Points of a sweep as they are run, one after the other, in this process."""
     from uqsphere.propagation import run
@@ -584,7 +578,7 @@ def _points_here(
         yield point
 
 
-def _report(options: argparse.Namespace) -> None:
+def _report(options: Namespace) -> None:
     """Write the report again from stored results.
 
     uqsphere report rock-results
@@ -595,7 +589,7 @@ def _report(options: argparse.Namespace) -> None:
     print(f"wrote {write_page(options.folder)}")
 
 
-def _compare(options: argparse.Namespace) -> None:
+def _compare(options: Namespace) -> None:
     """Compare runs: decisions first, then settings that differ and answers that changed.
 
     uqsphere compare rock-results slower
@@ -613,7 +607,7 @@ def _compare(options: argparse.Namespace) -> None:
         print(f"wrote {options.csv}")
 
 
-def _history(options: argparse.Namespace) -> None:
+def _history(options: Namespace) -> None:
     """One impact over time, every number at its mean: forces, pressures, gauges, x-t diagram.
 
     uqsphere history rock.toml
@@ -648,7 +642,7 @@ def _agree(before: Any, after: Any) -> bool:
     return True
 
 
-def _verify(options: argparse.Namespace) -> None:
+def _verify(options: Namespace) -> None:
     """Check a results directory against its checksums.
 
     uqsphere verify rock-results
@@ -688,7 +682,7 @@ def _verify(options: argparse.Namespace) -> None:
         raise FolderError(f"run again, the answers differ:\n{differences}")
 
 
-def _list(options: argparse.Namespace) -> None:
+def _list(options: Namespace) -> None:
     """List materials, quantities, criteria or distributions.
 
     uqsphere list materials
@@ -699,7 +693,7 @@ def _list(options: argparse.Namespace) -> None:
     print(listing(options.what))
 
 
-def _schema(options: argparse.Namespace) -> None:
+def _schema(options: Namespace) -> None:
     """Print the JSON schema of a study file, for editors, or of results.
 
     uqsphere schema > study.json
@@ -717,15 +711,12 @@ def _schema(options: argparse.Namespace) -> None:
     print(json.dumps(schema, ensure_ascii=False))
 
 
-def _bench(options: argparse.Namespace) -> None:
+def _bench(options: Namespace) -> None:
     """Time the integrator against others at equal error.
 
     uqsphere bench --rows 256
     """
 
-    from uqsphere.bench import bench_study_text, bench_text
+    from uqsphere.bench import bench_text
 
-    if options.study is None:
-        print(bench_text(rows=options.rows))
-    else:
-        print(bench_study_text(options.study, rows=options.rows))
+    print(bench_text(options.study, rows=options.rows))
