@@ -6,8 +6,6 @@ is run once those before it have found nothing, so that its checks may rely on w
 and each fault is reported once.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -33,13 +31,12 @@ from uqsphere.errors import as_text
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
-from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW, RIGS
 from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import format_value, lookup, plain_quantity
-from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft, Gauge
-from uqsphere.study.limits import compare_sizes, read_limit
+from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft
+from uqsphere.study.limits import compare_sizes, parameters_of, read_limit
 from uqsphere.study.plausibility import warn_of_slips
 from uqsphere.study.study import Study, default_target, scene_with, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
@@ -78,17 +75,13 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     document = draft.document
     limits = draft.limits.values()
     analysis = document.analysis
-    gauges = document.gauges
-    rod = document.rod.gauge
     if not analysis.quantities:
         usual: tuple[str, ...] = ("p_max", "contact_duration")
         if draft.box:
             usual = draft.quantities
-        elif RIGS[draft.rig].by_press:
+        elif draft.rig.by_press:
             usual = ("p_max",)
         analysis = analysis.model_copy(update={"quantities": usual})
-    if rod is not None:
-        gauges = (Gauge.model_construct(bar="rod", position=rod), *gauges)
     numbers = {k: n.value for k, n in draft.numbers.items() if not k.startswith("limits.")}
     return Study(
         title=as_text(document.title) or path.stem,
@@ -115,9 +108,11 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         analysis=analysis,
         outputs=document.outputs.names,
         caveats=tuple(
-            (holds, path_of(place), message) for place, message, holds in draft.warnings if holds
+            (holds, path_of(place), message)
+            for (place, message), holds in draft.warnings.items()
+            if holds
         ),
-        gauges=gauges,
+        gauges=tuple(draft.gauges().values()),
         files=tuple(draft.files.items()),
     )
 
@@ -138,8 +133,6 @@ def tables(draft: Draft) -> Faults:
     except ValidationError as error:
         yield from faults_of(Document, error)
         return
-    draft.rig, draft.law_given = draft.document.rig.kind, draft.document.contact.law is not None
-    draft.quantities = draft.document.outputs.names if draft.box else tuple(OUTPUTS)
     for table in [name for name in draft.data if name in SCENE]:
         for key in draft.data[table]:
             number = getattr(getattr(draft.document, table), key)
@@ -153,7 +146,7 @@ def tables(draft: Draft) -> Faults:
 def _rig(draft: Draft) -> Faults:
     """The tables of the rig."""
     data = draft.data
-    rig = draft.rig
+    rig = draft.rig.name
     if data.keys().isdisjoint(SCENE):
         raise Fault(
             "the study has neither a scene ([sphere], [bars], [striker]) nor a black box "
@@ -270,7 +263,7 @@ def _words(draft: Draft) -> Faults:
     usual = {
         f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers
     }
-    if RIGS[draft.rig].by_wave:
+    if draft.rig.by_wave:
         usual["bars.incident_end"] = END_COEFFICIENTS["free"]
         usual["bars.receiving_end"] = END_COEFFICIENTS["absorbing"]
         if pulse.preset is not None:
@@ -286,8 +279,8 @@ def _words(draft: Draft) -> Faults:
         options["bars.rigid_contact"] = document.bars.rigid_contact
         options["pulse.shape"] = shape
     else:
-        options["rig.kind"] = draft.rig
-        if RIGS[draft.rig].sphere_moves:
+        options["rig.kind"] = draft.rig.name
+        if draft.rig.sphere_moves:
             usual["rig.angle"] = 0.5 * math.pi
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
@@ -299,19 +292,19 @@ def _words(draft: Draft) -> Faults:
 def _keys_by_kind(draft: Draft, shape: str) -> Faults:
     """What each table lacks for its kind, and what belongs to another kind."""
     kinds = forms.kinds_of(
-        draft.rig,
+        draft.rig.name,
         shape,
         timed="pulse.duration" in draft.numbers,
         infinite=draft.document.bars.infinite,
         options=draft.options,
-    ) | {"model": draft.rig}
+    ) | {"model": draft.rig.name}
     for table in FORMS.keys() & draft.data.keys():
         kind = kinds.get(table, "")
         entries = numbers_of(table)
         of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
         present = {key for key, entry in entries.items() if entry.name in draft.numbers}
+        present |= draft.data[table].keys()
         for key in draft.data[table]:
-            present.add(key)
             homes = [form for form, keys in FORMS[table].items() if key in re.findall(r"\w+", keys)]
             if homes and kind not in homes:
                 only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
@@ -340,7 +333,7 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
 
 def _model(draft: Draft) -> Faults:
     """Which models go with a rig."""
-    rig = RIGS[draft.rig]
+    rig = draft.rig
     model = draft.document.model
     for key, word in (("fidelity", "linear"), ("compare_with_paper", True)):
         if rig.by_wave and draft.plastic and getattr(model, key) == word:
@@ -360,7 +353,7 @@ def _model(draft: Draft) -> Faults:
     allowed = {"full", "massless"} if light else {"full"}
     if not rig.by_wave and model.fidelity not in allowed:
         yield Fault(
-            f'the rig {shown(draft.rig)} supports only fidelity = "full". Remove fidelity',
+            f'the rig {shown(rig.name)} supports only fidelity = "full". Remove fidelity',
             "model",
             "fidelity",
         )
@@ -415,7 +408,7 @@ def _scene(draft: Draft) -> Faults:
                 if isinstance(partner.face, Face)
             }
             valid = faces and all(face.valid[0] for face in faces.values())
-            if draft.plastic and not draft.law_given and not valid:
+            if draft.plastic and draft.document.contact.law is None and not valid:
                 del options["contact.law"]
                 draft.plastic = False
             else:
@@ -437,9 +430,9 @@ def _scene(draft: Draft) -> Faults:
     of_contact = any(f"contact.{key}" in numbers for key in LAW)
     for softer, face in faces.items():
         if draft.plastic and not face.valid[0]:
-            law = zip(LAW, (face.onset, face.hardness, face.pile_up), strict=True)
             values = ", ".join(
-                f"{key} {format_value(float(value[0]), f'contact.{key}')}" for key, value in law
+                f"{key} {format_value(value, f'contact.{key}')}"
+                for key, value in parameters_of(face).items()
             )
             values = re.sub("(nan|inf) GPa", "missing", values)
             yield Fault(
@@ -500,21 +493,14 @@ def _pulse(draft: Draft) -> Faults:
 
 def _gauges(draft: Draft) -> Faults:
     """Gauges stand on bars that there are."""
-    rod = draft.document.rod.gauge
-    rig = RIGS[draft.rig]
-    places: list[tuple[Place, str, float]] = [
-        (("gauges", k), gauge.bar, gauge.position) for k, gauge in enumerate(draft.document.gauges)
-    ]
-    if rod is not None:
-        places.append((("rod", "gauge"), "rod", rod))
-    for place, bar, position in places:
-        path = f"bars.{bar}_length"
-        name = f"{bar} bar"
-        has_it = rig.by_wave
-        if bar == "rod":
+    for place, gauge in draft.gauges().items():
+        path = f"bars.{gauge.bar}_length"
+        name = f"{gauge.bar} bar"
+        has_it = draft.rig.by_wave
+        if gauge.bar == "rod":
             path = "rod.length"
-            name = bar
-            has_it = bar in rig.tables
+            name = "rod"
+            has_it = "rod" in draft.rig.tables
         length = draft.mean(path)
         if not has_it:
             yield Fault(
@@ -522,8 +508,8 @@ def _gauges(draft: Draft) -> Faults:
                 *place,
                 "bar",
             )
-        elif position > length:
-            here = format_value(position, path)
+        elif gauge.position > length:
+            here = format_value(gauge.position, path)
             end = format_value(length, path)
             yield Fault(
                 f"the distance from the sphere must be at most {end}, the length of the {name}, "

@@ -6,15 +6,13 @@ other is checked in `uqsphere.study.check`.  The JSON schema and docs/study-file
 three.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -27,10 +25,12 @@ from pydantic import (
 from pydantic import model_validator as checked
 
 from uqsphere.documents import Fault, Place, TomlTable, shown, table_in
+from uqsphere.materials import Property
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
-from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS
+from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS, Rig
 from uqsphere.study.values import (
     Number,
     Observations,
@@ -45,7 +45,6 @@ from uqsphere.units import UNITS, Quantity
 from uqsphere.uq.families import FAMILIES
 
 if TYPE_CHECKING:
-    from uqsphere.materials import Property
     from uqsphere.mechanics.scene import Scene
     from uqsphere.study.study import Limit
 
@@ -54,12 +53,7 @@ RIG_TABLES = {
     name: (*rig.tables, "insert") if rig.by_wave else rig.tables for name, rig in RIGS.items()
 }
 #: tables that have numbers of `uqsphere.quantities.INPUTS`
-SCENE = (
-    "sphere",
-    "contact",
-    "rig",
-    *dict.fromkeys(chain(*RIG_TABLES.values())),
-)
+SCENE = ("sphere", "contact", "rig", *dict.fromkeys(chain(*RIG_TABLES.values())))
 
 
 # --- what a key can hold --------------------------------------------------------------------------
@@ -279,7 +273,7 @@ class LimitTable(TomlTable):
     )
 
     @checked(mode="after")
-    def _one_demand(self) -> LimitTable:
+    def _one_demand(self) -> Self:
         if (self.quantity is None) == (self.criterion is None):
             raise Fault(
                 'exactly one of quantity and criterion is required, for example quantity = "p_max"',
@@ -501,9 +495,7 @@ class Draft:
     folder : that of the study, outside of which no file is read; files: those it has read, by the
         names it gives them.
     data : the tables as the file has them; document: the same, validated.
-    box, rig, plastic : whether it is a black box, what loads the sphere, whether contacts can
-        yield.
-    quantities : names that can be requested.
+    box, plastic : whether it is a black box, whether contacts can yield.
     numbers : by dotted path (black box: bare name) in the order of the file, strengths and model
         factors last.
     scene : the one row at its means.
@@ -513,20 +505,35 @@ class Draft:
     data: dict[str, Any] = field(default_factory=dict)
     document: Words = field(default_factory=Document.model_construct)
     box: bool = False
-    rig: str = DEFAULT_RIG
     plastic: bool = False
-    law_given: bool = False
-    quantities: tuple[str, ...] = ()
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, str | bool | int] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Property] = field(default_factory=dict)
     record: MeasuredPulse | None = None
-    scene: Scene | None = None
-    limits: dict[str, Limit] = field(default_factory=dict)
+    scene: "Scene | None" = None
+    limits: dict[str, "Limit"] = field(default_factory=dict)
     margins: Margins | None = None
-    warnings: list[tuple[Place, str, str]] = field(default_factory=list)
+    warnings: dict[tuple[Place, str], str] = field(default_factory=dict)
     files: dict[str, Path] = field(default_factory=dict)
+
+    @property
+    def rig(self) -> Rig:
+        """What loads the sphere."""
+        return RIGS[self.document.rig.kind]
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names that can be requested."""
+        return self.document.outputs.names if self.box else tuple(OUTPUTS)
+
+    def gauges(self) -> dict[Place, Gauge]:
+        """The gauges by their places in the study, that of a rod first."""
+        gauges: dict[Place, Gauge] = {}
+        rod = self.document.rod.gauge
+        if rod is not None:
+            gauges["rod", "gauge"] = Gauge.model_construct(bar="rod", position=rod)
+        return gauges | {("gauges", k): gauge for k, gauge in enumerate(self.document.gauges)}
 
     def warn(self, place: Place, message: str, holds: str = "") -> None:
         """Note what a user should know and what does not stop the study, once.
@@ -534,23 +541,13 @@ class Draft:
         holds : code of the caveat by which no verdict is established, `unit`, `plausibility` or
             `rate`
         """
-        if (place, message) not in [warning[:2] for warning in self.warnings]:
-            self.warnings.append((place, message, holds))
+        self.warnings.setdefault((place, message), holds)
 
     def mean(self, path: str, absent: float = math.nan) -> float:
         """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""
         if path in self.numbers:
             return self.numbers[path].mean
         return absent
-
-    def elastic(self, table: str) -> tuple[float, float]:
-        """E [Pa] and nu at their means of what touches the sphere: an insert, or the body of a
-        table.
-        """
-        E, nu = (
-            self.mean(f"{table}.insert_{key}", self.mean(f"{table}.{key}")) for key in ("E", "nu")
-        )
-        return E, nu
 
 
 # --- the schema -----------------------------------------------------------------------------------

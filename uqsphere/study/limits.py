@@ -2,8 +2,6 @@
 tests.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -17,7 +15,7 @@ from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.outputs import OUTPUTS
-from uqsphere.mechanics.rigs import LAW, RIGS, sphere_body
+from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, lookup, plain_quantity
 from uqsphere.study import values
 from uqsphere.study.document import Draft, LimitTable
@@ -120,7 +118,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
             "criterion",
         )
     if criterion == "specific_energy":
-        if table.energy_is is None and not RIGS[draft.rig].by_wave:
+        if table.energy_is is None and not draft.rig.by_wave:
             raise Fault(
                 "energy_is is missing. Set it to the energy that the strength is based on: "
                 f"{one_of(map(shown, _ENERGIES))}",
@@ -185,7 +183,7 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
     if not (draft.plastic and pressure):
         return meant == "hertz"
     if meant is None:
-        if draft.law_given:
+        if draft.document.contact.law is not None:
             raise Fault(_PRESSURES, "strength_is")
         return compared == "p_max"  # as nearly all tabulated contact strengths are
     if meant == "pressure" and values.is_tests(table.strength):
@@ -269,7 +267,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         exponent=exponent,
     )
     compare_sizes(replace(limit, tested=tested), _radii(draft), draft, (*place, "diameter"))
-    if not RIGS[draft.rig].by_press and "rate_0" not in limit.parameters:
+    if not draft.rig.by_press and "rate_0" not in limit.parameters:
         _warn_of_rate(draft, limit, place)
 
     def value(modulus: float, factor: float = 1.0) -> Array:
@@ -496,11 +494,21 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0
     for partner in reversed(draft.scene.there):
-        if np.allclose(draft.elastic(partner.table), platens, rtol=1e-9):
+        table = partner.table
+        body = [
+            draft.mean(f"{table}.insert_{key}", draft.mean(f"{table}.{key}")) for key in ("E", "nu")
+        ]
+        if np.allclose(body, platens, rtol=1e-9):
             face = partner.face
             takes = float(partner.takes[0])
     if draft.plastic and face is not None:
-        law = [float(value[0]) for value in (face.onset, face.hardness, face.pile_up)]
-        if np.isfinite(law).all():
-            return {**sphere, **dict(zip(LAW, law, strict=True)), "takes": takes}
+        law = parameters_of(face)
+        if np.isfinite([*law.values()]).all():
+            return {**sphere, **law, "takes": takes}
     return sphere
+
+
+def parameters_of(face: Any) -> dict[str, float]:
+    """Onset and hardness [Pa] and pile-up of a contact law, by their keys in a study."""
+    values = (face.onset, face.hardness, face.pile_up)
+    return {key: float(value[0]) for key, value in zip(LAW, values, strict=True)}

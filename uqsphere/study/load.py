@@ -1,7 +1,5 @@
 """From a TOML file, a text or a dict to a `Study`, with faults at their lines."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -90,7 +88,7 @@ def load_study(
                 faults += [*_doubts(draft, faults)]
             at_keys = [Fault(str(fault), *_written(fault.at, tables)) for fault in faults]
             raise refusal(path, text, at_keys, overridden)
-    notes = [Fault(message, *_written(place, tables)) for place, message, _ in draft.warnings]
+    notes = [Fault(message, *_written(place, tables)) for place, message in draft.warnings]
     warnings = [note.render(name if note.path else "") for note in located(text, notes, overridden)]
     study = resolve(draft, path, text)
     return replace(study, overrides=tuple(overrides), warnings=tuple(warnings))
@@ -112,7 +110,7 @@ def _doubts(draft: Draft, faults: list[Fault]) -> Iterator[Fault]:
     """Numbers whose unit seems wrong, since a refusal of the scene or of a limit may follow from
     them; a fault of the same number is told behind the doubt.
     """
-    for place, message, holds in draft.warnings:
+    for (place, message), holds in draft.warnings.items():
         if holds != "unit":
             continue
         number = place[: 3 if place[0] == "limits" else 2]
