@@ -1,7 +1,5 @@
 """Names of array types, and special functions loaded when they are called."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeAlias
 

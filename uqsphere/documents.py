@@ -2,8 +2,6 @@
 out.
 """
 
-from __future__ import annotations
-
 import codecs
 import json
 import re
@@ -18,12 +16,12 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from uqsphere.errors import Problem, StudyError, UsageError, as_text
-from uqsphere.files import read_given
+from uqsphere.files import packaged, read_given
 from uqsphere.units import alien, bare_number
 
 Place = tuple[str | int, ...]
 #: words in files that users bring, and what is said of them
-WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
+WORDS = packaged("words.toml")
 
 
 class TomlTable(BaseModel):

@@ -1,7 +1,5 @@
 """The error family: one exit code each, and a message a user can act on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
@@ -16,9 +14,7 @@ def as_text(value: object, longest: int = 300) -> str:
         text = str(value)[: 64 * longest]
     except BaseException as error:
         return f"(its text cannot be had: {type(error).__name__})"
-    text = "".join(
-        character if character.isprintable() else "?" for character in " ".join(text.split())
-    )
+    text = "".join(mark if mark.isprintable() else "?" for mark in " ".join(text.split()))
     if len(text) > longest:
         return f"{text[: longest - 1]}…"
     return text

@@ -1,12 +1,10 @@
 """The material library: typical values with their scatter and source, from ``materials.toml``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
-from uqsphere.files import Json
+from uqsphere.files import Json, packaged
 from uqsphere.units import parse_value
 
 #: uses of a material: sphere, bars and strikers, other counter-bodies
@@ -52,7 +50,7 @@ class Property:
     source: str
     seen: bool
     note: str = ""
-    range: tuple[float, float] | None = None
+    range: tuple[float, ...] | None = None
     further: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -73,11 +71,7 @@ def library() -> dict[str, dict[str, Material]]:
     >>> library()["sphere"]["granite"].properties["nu"].value
     0.25
     """
-    import tomllib
-    from importlib.resources import files
-
-    text = files("uqsphere").joinpath("materials.toml").read_text(encoding="utf-8")
-    tables = tomllib.loads(text)
+    tables = packaged("materials.toml")
     materials: dict[str, dict[str, Material]] = {}
     for kind in MATERIAL_KINDS:
         materials[kind] = {name: _material(name, table) for name, table in tables[kind].items()}
@@ -104,7 +98,7 @@ def _material(name: str, table: Mapping[str, Json]) -> Material:
         properties[key] = Property(
             value=value,
             text=text,
-            range=(ends[0], ends[1]) if ends else None,
+            range=tuple(ends) or None,
             further=further,
             **entry,
         )

@@ -5,8 +5,6 @@ Numbers of a scene are declared in `uqsphere.mechanics.inputs`, quantities of in
 axis labels and documentation read them here, so that a quantity has one name and one unit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,15 +20,10 @@ SMALLER = {"m": "mm", "kN": "N"}
 
 def lookup(name: str) -> Quantity:
     """The nomenclature entry of an input or output; names of a black box get one without unit."""
-    entry = INPUTS.get(name) or OUTPUTS.get(name)
-    if entry is not None:
-        return entry
     # demands of a criterion, and transferred quantities, are named after the limit too
     base = name.partition(".")[0]
-    entry = DEMANDS.get(base) or OUTPUTS.get(base)
-    if entry is not None:
-        return replace(entry, name=name)
-    return plain_quantity(name)
+    entry = INPUTS.get(name) or OUTPUTS.get(name) or DEMANDS.get(base) or OUTPUTS.get(base)
+    return replace(entry or plain_quantity(name), name=name)
 
 
 def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:

@@ -203,7 +203,8 @@ def _lines(lines: Sequence[int]) -> str:
     text = ", ".join(map(str, lines[:_MOST_LINES]))
     if len(lines) > _MOST_LINES:
         text += f" and {len(lines) - _MOST_LINES} more"
-    return f"line{'s' * (len(lines) > 1)} {text}"
+    noun = "lines" if len(lines) > 1 else "line"
+    return f"{noun} {text}"
 
 
 # --- tables ---------------------------------------------------------------------------------------

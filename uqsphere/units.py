@@ -3,26 +3,21 @@
 All values inside the code are in SI.
 """
 
-from __future__ import annotations
-
 import math
 import re
-import tomllib
 import unicodedata
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 from uqsphere.arrays import Values
+from uqsphere.files import packaged
 
 
 class UnitError(ValueError):
     """A text is not a number with a unit of the required dimension."""
 
 
-_TABLES = tomllib.loads(
-    resources.files("uqsphere").joinpath("units.toml").read_text(encoding="utf-8")
-)
+_TABLES = packaged("units.toml")
 #: dimension -> unit -> factor to SI; the first unit of each dimension is the SI unit
 UNITS: dict[str, dict[str, float]] = _TABLES["units"]
 #: other spellings of units in headings, and of units that were likely meant, in small letters
@@ -231,7 +226,8 @@ def likely_unit(raw: Any, quantity: Quantity) -> str:
         bare = float(raw)
     except (TypeError, ValueError, OverflowError):
         return quantity.display
-    (low, high), factors = quantity.plausible, UNITS[quantity.dimension]
+    low, high = quantity.plausible
+    factors = UNITS[quantity.dimension]
     for unit in (quantity.display, *factors):
         if low <= bare * factors.get(unit, 1.0) <= high:
             return unit
@@ -244,12 +240,11 @@ def bare_number(value: float) -> str:
     >>> bare_number(52000000000.0), bare_number(0.5), bare_number(40)
     ('52e9', '0.5', '40')
     """
-    if isinstance(value, float):
-        for power in (12, 9, 6):
-            if 10.0**power <= abs(value) < 1e15:
-                text = f"{value / 10.0**power:.15g}e{power}"
-                if float(text) == value:
-                    return text
+    for power in (12, 9, 6):
+        if isinstance(value, float) and 10.0**power <= abs(value) < 1e15:
+            text = f"{value / 10.0**power:.15g}e{power}"
+            if float(text) == value:
+                return text
     return repr(value).removesuffix(".0")
 
 

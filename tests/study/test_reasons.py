@@ -339,7 +339,7 @@ REASONS: dict[str, tuple[str, str, str]] = {
     ),
     "draws of another kind": (
         BOX.replace(NORMAL, 'a = { draws = "kinds.csv" }'),
-        "distribution must be lognormal or weibull",
+        "is not lognormal or weibull",
         BOX.replace(NORMAL, 'a = { draws = "draws.csv" }'),
     ),
     "draws without a scale": (

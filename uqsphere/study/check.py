@@ -76,12 +76,12 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
     limits = draft.limits.values()
     analysis = document.analysis
     if not analysis.quantities:
-        usual: tuple[str, ...] = ("p_max", "contact_duration")
+        usual = ["p_max", "contact_duration"]
         if draft.box:
-            usual = draft.quantities
+            usual = [*draft.quantities]
         elif draft.rig.by_press:
-            usual = ("p_max",)
-        analysis = analysis.model_copy(update={"quantities": usual})
+            usual = ["p_max"]
+        analysis = analysis.model_copy(update={"quantities": tuple(usual)})
     numbers = {k: n.value for k, n in draft.numbers.items() if not k.startswith("limits.")}
     return Study(
         title=as_text(document.title) or path.stem,
@@ -209,8 +209,8 @@ def _library(draft: Draft) -> Faults:
     for table in SCENE:
         onset = "onset_pressure" if table == "sphere" else "yield_strength"
         known |= f"{table}.{onset}" in numbers
-        name = getattr(getattr(document, table), "material", None) or ""
-        if not name and "material" not in draft.data.get(table, ()):
+        name = getattr(getattr(document, table), "material", None)
+        if name is None:
             continue
         kinds = _KINDS.get(table, MATERIAL_KINDS)
         materials = dict(chain(*(library()[kind].items() for kind in kinds)))
@@ -255,7 +255,7 @@ def _words(draft: Draft) -> Faults:
     numbers = draft.numbers
     options = draft.options
     pulse = document.pulse
-    shape = str(document.pulse.shape)
+    shape = str(pulse.shape)
     for table in {"target", "anvil"} & draft.data.keys():
         options[f"{table}.kind"] = getattr(document, table).kind
     if document.hammer.shape is not None:
@@ -350,8 +350,8 @@ def _model(draft: Draft) -> Faults:
             "whole_record",
         )
     light = rig.weight_falls and rig.kind(1, draft.options) != "bar" and not draft.plastic
-    allowed = {"full", "massless"} if light else {"full"}
-    if not rig.by_wave and model.fidelity not in allowed:
+    possible = model.fidelity == "full" or (light and model.fidelity == "massless")
+    if not (rig.by_wave or possible):
         yield Fault(
             f'the rig {shown(rig.name)} supports only fidelity = "full". Remove fidelity',
             "model",
@@ -420,10 +420,11 @@ def _scene(draft: Draft) -> Faults:
             "striker",
         ) from None
     if draft.plastic and not faces:
-        bodies = dict.fromkeys(f"{partner.table}.yield_strength" for partner in scene.there)
-        names = one_of([*bodies, "sphere.onset_pressure", "contact.onset_pressure"])
+        names = [f"{partner.table}.yield_strength" for partner in scene.there]
+        names += ["sphere.onset_pressure", "contact.onset_pressure"]
         yield Fault(
-            f"the plastic law needs the pressure at which a contact yields. Add {names}",
+            "the plastic law needs the pressure at which a contact yields. Add "
+            f"{one_of(dict.fromkeys(names))}",
             "contact",
             "law",
         )
@@ -562,16 +563,14 @@ def _dependence(draft: Draft) -> None:
 def _margins(draft: Draft) -> Faults:
     """The free number, and that it can be moved from one end to the other."""
     table = draft.document.margins
-    noun = "a number"
     if table is None:
         return
-    if draft.box:
-        noun = "an input"
     if not draft.limits:
         yield Fault("[margins] requires a limit. Add a table [limits.NAME]", "margins")
     solve = re.sub(r"^insert\.", "bars.insert_", table.solve)
     names = [name for name in draft.numbers if not name.endswith(".model_factor")]
     if solve not in names:
+        noun = "an input" if draft.box else "a number"
         raise Fault(
             f"{shown(table.solve)} is not {noun} of this study, which has {one_of(names[:30])}"
             f"{suggestion(solve, names)}",
@@ -580,11 +579,10 @@ def _margins(draft: Draft) -> Faults:
         )
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
     quantity = strengths.get(solve, solve)
-    number = draft.numbers[solve]
-    ends = []
     entry = plain_quantity(quantity) if draft.box else lookup(quantity)
     if solve in strengths:
         entry = replace(entry, lower=0.0, meaning="the mean strength")
+    ends = []
     for index, raw in enumerate(table.between):
         with within("margins", "between", index):
             ends.append(value_of(raw, entry))
@@ -606,13 +604,14 @@ def _margins(draft: Draft) -> Faults:
             "for_probability": tuple(sorted(table.for_probability)),
         }
     )
-    if not isinstance(number.value, Law) or solve in strengths:
+    law = draft.numbers[solve].value
+    if not isinstance(law, Law) or solve in strengths:
         return
     for index, value in enumerate(ends):
         try:
-            number.value.with_mean(value)
+            law.with_mean(value)
         except LawError as error:
-            place: Place = ("between", index) if "mean" in number.value.given else ("solve",)
+            place: Place = ("between", index) if "mean" in law.given else ("solve",)
             yield Fault(
                 f"{solve} has no distribution with this mean: {error.message} (SI). Describe it by "
                 "mean and sd or cov, or as a fixed number",

@@ -68,7 +68,7 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     """One limit: demand, strength and model factor; raises Fault."""
     place = ("limits", name)
     limit = _demand(draft, name, table)
-    of_fracture = sorted(name for name, entry in OUTPUTS.items() if entry.fracture)
+    of_fracture = sorted(key for key, entry in OUTPUTS.items() if entry.fracture)
     if table.fracture and table.criterion is None and limit.quantity not in of_fracture:
         raise Fault(
             f"{limit.quantity} is not a fracture quantity; fracture = true needs a criterion or "

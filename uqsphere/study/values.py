@@ -162,14 +162,12 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     """The law of a table with `dist`, and its parameters in SI; raises Fault."""
     kind = raw.get("dist")
-    family = None
     if kind is None:
         raise Fault(
             'a table of a number needs a distribution or a file. Add, for example, dist = "normal"'
             f" (known: {one_of(FAMILIES)}){suggestion(next(iter(raw), ''), ['dist'])}"
         )
-    if isinstance(kind, str):
-        family = family_named(kind)
+    family = family_named(str(kind))
     if family is None:
         near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
         raise Fault(unknown("distribution", kind, FAMILIES) + near, "dist")
@@ -230,11 +228,11 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
             f"{format_value(ends[key], name)}: only a tail of the distribution is sampled",
         )
     low = quantity.lower
-    effect = ""
     if quantity.closed:
         low = float(np.nextafter(low, -np.inf))
     outside = float(law.cdf(low) + law.sf(quantity.upper))
     if outside > NOTABLE:
+        effect = ""
         if name in INPUTS:
             effect = "These samples count as failed model runs. "
         draft.warn(
@@ -454,6 +452,8 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
     return Number(value=law, synthetic=table.synthetic)
 
 
+#: distributions of draws: whether each is a Weibull distribution
+_KINDS = {"lognormal": False, "weibull": True}
 #: columns of draws and their dimensions; an empty one is that of the strength
 _DRAWN = {
     "least": "",
@@ -470,15 +470,9 @@ _DRAWN = {
 
 def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
-    kinds = {"lognormal": LOGNORMAL, "weibull": WEIBULL}
     columns = {}
     with opened(name, draft, "draws", table.decimal, table.sheet) as cells:
-        words = cells.texts("distribution", "draws")
-        cells.refuse(
-            "draws",
-            f"distribution must be {one_of(kinds)}",
-            np.array([w not in kinds for w in words]),
-        )
+        kinds = cells.flags("distribution", "draws", _KINDS, one_of(_KINDS))
         for key, its_dimension in _DRAWN.items():
             dimension = its_dimension or quantity.dimension
             bare = [unit_in_heading(heading, dimension)[0] for heading in cells.headings]
@@ -492,7 +486,7 @@ def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> 
             "scale and shape must be above 0, least at least 0, bound at least 0 and below 1",
             ~((scale > 0.0) & (shape > 0.0) & (least >= 0.0) & (bound >= 0.0) & (bound < 1.0)),
         )
-    draws = np.column_stack([[kinds[word] for word in words], least, scale, shape, bound])
+    draws = np.column_stack([np.where(kinds, WEIBULL, LOGNORMAL), least, scale, shape, bound])
     tested = None
     first = {key: float(column[0]) for key, column in columns.items()}
     if first["diameter"] > 0.0:
