@@ -78,7 +78,7 @@ def read(folder: Path, frame: pd.DataFrame, **changes: Any) -> Reading:
     }
     tables["record"] = {"file": "record.csv", **changes.get("record", {})}
     document = RecordDocument(**tables)
-    return read_test(load_record(document, folder), document)
+    return read_test(load_record(document, folder))
 
 
 def steps(test: Reading) -> list[str]:
@@ -167,11 +167,10 @@ def test_mended_in_named_steps_that_print_what_they_changed(
 def test_waves_of_stout_bars_are_moved_to_the_faces(tmp_path: Path) -> None:
     frame = waves(rise=6e-6, noise=1e-7)
     moved, raw = read(tmp_path, frame), read(tmp_path, frame, record={"dispersion": False})
-    truth = PEAK * np.sin(np.pi * np.clip(moved.time / 120e-6, 0.0, 1.0)) ** 2
-    assert moved.force_a is not None
-    assert raw.force_a is not None
-    inside = (moved.time > 20e-6) & (moved.time < 100e-6)
-    off, before = (np.abs(t.force_a - truth)[inside].max() / PEAK for t in (moved, raw))
+    time = moved.forces["A"].time
+    truth = PEAK * np.sin(np.pi * np.clip(time / 120e-6, 0.0, 1.0)) ** 2
+    inside = (time > 20e-6) & (time < 100e-6)
+    off, before = (np.abs(t.forces["A"].force - truth)[inside].max() / PEAK for t in (moved, raw))
     assert off < 0.25 * before
     assert before > 0.1
     assert "dispersion" in steps(moved)
@@ -344,9 +343,9 @@ def test_waves_that_were_cut_out_are_moved_to_the_faces_too(tmp_path: Path) -> N
         for disperses in (True, False)
     )
     assert "dispersion" in steps(moved)
-    truth = PEAK * np.sin(np.pi * np.clip((moved.time - 5e-6) / 120e-6, 0.0, 1.0)) ** 2
+    truth = PEAK * np.sin(np.pi * np.clip((moved.forces["A"].time - 5e-6) / 120e-6, 0.0, 1.0)) ** 2
     off, before = (
-        np.abs(test.force_a - truth[: len(test.force_a)])[40:200].max() / PEAK
+        np.abs(test.forces["A"].force - truth[: len(test.forces["A"].force)])[40:200].max() / PEAK
         for test in (moved, raw)
     )
     assert off < 0.5 * before

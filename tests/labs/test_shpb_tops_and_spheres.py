@@ -112,7 +112,7 @@ def read(folder: Path, frame: pd.DataFrame, **tables: Any) -> Reading:
     }
     record = {"file": "record.csv", "dispersion": False, **tables.pop("record", {})}
     document = RecordDocument(**{**bars, **tables}, record=record)
-    return read_test(load_record(document, folder), document)
+    return read_test(load_record(document, folder))
 
 
 def flat_record(noise: float = 1e-6, step: float = 1e-6) -> pd.DataFrame:

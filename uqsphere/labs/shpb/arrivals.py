@@ -1,7 +1,5 @@
 """When the three waves pass the gauges, compared with the gauge distances and wave speeds given."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -9,9 +7,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.mending import Record, Signal, smooth
-from uqsphere.labs.shpb.recorder import Changes
 
 #: share of the peak at which an arrival is read, and the time [s] over which it is averaged: to
 #: doubt distances, and to shift a steep wave
@@ -51,21 +47,21 @@ class _Delay(NamedTuple):
         return 0.0 if self.seen is None else self.seen - self.predicted
 
 
-def find_arrivals(record: Record, document: RecordDocument, changes: Changes) -> Arrivals:
+def find_arrivals(record: Record) -> Arrivals:
     """The arrivals of a record; a steep wave that comes a little early is shifted.
 
     Raises UsageError for exchanged columns, and for arrivals that fit another wave speed.
     """
-    wave = record.incident.wave
+    incident = record.incident
     receiving = record.receiving
-    step = record.step
-    if document.record.aligned:
-        reflected = record.reflected.wave.start - wave.start
-        return Arrivals(reflected, receiving.wave.start - wave.start)
-    bar = document.incident_bar
-    behind = document.receiving_bar
-    passage = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed
-    predicted = (2.0 * bar.gauge / bar.wave_speed / step, passage / step)
+    wave = incident.wave
+    step = incident.step
+    bar = incident.bar
+    behind = receiving.bar
+    if record.document.record.aligned:
+        first = wave.start
+        return Arrivals(record.reflected.wave.start - first, receiving.wave.start - first)
+    predicted = (2.0 * bar.passage / step, (bar.passage + behind.passage) / step)
     back, there = _delays(record, predicted, *_SURE)
     steep = wave.rising
     if there.seen is not None and there.seen < -steep:
@@ -74,14 +70,14 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
             "incident wave. Are the columns exchanged?"
         )
     fits = 0.5 * (back.seen or 0) * step * bar.wave_speed
-    doubt_a = _doubt(back, (steep, 5.0), step, bar.gauge, fits)
+    doubt_a = _doubt(back, (steep, 5.0), incident, fits)
     speed_ratio = 1.0
     if doubt_a:
         doubt_a += " (or another E or density)"
         speed_ratio = back.predicted / max(back.seen or 0, 1)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
-    fits = ((there.seen or 0) * step - bar.gauge / bar.wave_speed) * behind.wave_speed
-    doubt_b = _doubt(there, (steep, soft), step, behind.gauge, fits)
+    fits = ((there.seen or 0) * step - bar.passage) * behind.wave_speed
+    doubt_b = _doubt(there, (steep, soft), receiving, fits)
     if doubt_b:
         other = there.predicted / max(there.seen or 0, 1)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
@@ -96,8 +92,9 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
         return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
     arrivals = list[float]()
-    names = (record.reflected.name, receiving.name)
-    for name, delay in zip(names, _delays(record, predicted, *_FINE), strict=True):
+    for signal, delay in zip(
+        (record.reflected, receiving), _delays(record, predicted, *_FINE), strict=True
+    ):
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
             shift = delay.late
@@ -105,7 +102,7 @@ def find_arrivals(record: Record, document: RecordDocument, changes: Changes) ->
                 f"the {delay.wave} wave is shifted by {-shift * step * 1e6:.3g} us: it comes "
                 "earlier than the gauge distances predict"
             )
-            changes.add("time shift", name, text, shift * step)
+            signal.changes.add("time shift", text, shift * step, signal.name)
         arrivals.append(delay.predicted + shift)
     return Arrivals(arrivals[0], arrivals[1])
 
@@ -115,7 +112,7 @@ def _delays(
 ) -> tuple[_Delay, _Delay]:
     """The delays of the reflected and the transmitted wave, by a share and a time such as
     `_SURE`."""
-    width = max(1, round(window / record.step))
+    width = max(1, round(window / record.incident.step))
 
     def level(signal: Signal) -> float:
         """The strain at which a wave is there: a share of its peak, or above its noise."""
@@ -149,10 +146,8 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
     return begin + first[0] if len(first) else None
 
 
-def _doubt(
-    delay: _Delay, spare: tuple[float, float], step: float, distance: float, fits: float
-) -> str:
-    """Why a delay does not fit the gauge distance [m], where another one fits; empty if it does.
+def _doubt(delay: _Delay, spare: tuple[float, float], gauge: Signal, fits: float) -> str:
+    """Why a delay does not fit the distance of a gauge, where another one fits; empty if it does.
 
     spare : samples in which the wave rises, and by which it may be late beside this.
     """
@@ -163,6 +158,6 @@ def _doubt(
     side = "early" if delay.late < 0.0 else "late"
     would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
     return (
-        f"the {delay.wave} wave comes {abs(delay.late) * step * 1e6:.4g} us too {side} for a "
-        f"gauge at {distance:.4g} m; {would}"
+        f"the {delay.wave} wave comes {abs(delay.late) * gauge.step * 1e6:.4g} us too {side} for a "
+        f"gauge at {gauge.bar.gauge:.4g} m; {would}"
     )

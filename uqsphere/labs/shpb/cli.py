@@ -39,7 +39,7 @@ def _records(chosen: argparse.Namespace) -> int:
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
         try:
-            test = read_test(load_record(asked, path.parent), asked)
+            test = read_test(load_record(asked, path.parent))
         except UsageError as error:
             if not several:
                 raise

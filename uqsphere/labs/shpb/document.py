@@ -69,6 +69,11 @@ class BarTable(Section):
         return math.sqrt(self.E / self.density)
 
     @property
+    def passage(self) -> float:
+        """Time [s] in which a wave goes from the gauge to the specimen, or back."""
+        return self.gauge / self.wave_speed
+
+    @property
     def stiffness(self) -> float:
         """E A [N]: force per strain."""
         return self.E * math.pi * self.diameter**2 / 4.0

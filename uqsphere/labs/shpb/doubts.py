@@ -3,17 +3,14 @@
 Every check doubts the peaks that it concerns, and widens their intervals to what it would allow.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.labs.shpb.document import RecordDocument
+from uqsphere.labs.shpb.mending import Signal
 from uqsphere.labs.shpb.peaks import NORMAL, Peaks, stretch
-from uqsphere.labs.shpb.recorder import Changes
 
 #: difference between two gauges of a bar over the wave that is a gross fault
 _GROSS = 0.25
@@ -41,26 +38,25 @@ class Faces(NamedTuple):
     velocity_b: Array
 
 
-def check_striker(
-    peaks: Peaks, strain: float, wave_speed: float, measured: float | None, changes: Changes
-) -> None:
+def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> None:
     """Compare the incident wave with the striker speed [m/s], given or possible (in place)."""
-    speed = 2.0 * wave_speed * strain
+    strain = incident.wave.peak
+    speed = 2.0 * incident.bar.wave_speed * strain
     text = (
         f"an incident wave of {strain * 1e6:.4g} microstrain corresponds to a striker of "
         f"{speed:.3g} m/s"
     )
     if measured is None:
-        unseen = (
+        incident.changes.add(
+            "gains",
             "an error common to both bars (gain, E, diameter) does not show in a record; "
-            "record.striker_speed checks the gains"
+            "record.striker_speed checks the gains",
         )
-        changes.add("gains", "", unseen)
         if not _STRUCK[0] <= speed <= _STRUCK[1]:
-            peaks.doubt([*peaks], f"{text}: is a unit or a gain wrong?")
+            peaks.doubt(peaks, f"{text}: is a unit or a gain wrong?")
     elif abs(speed - measured) > _SPEED_ERROR * measured:
         text += f", not {measured:.3g} m/s: a gain or a unit is wrong"
-        for face, peak in [*peaks.items()]:
+        for face, peak in peaks.items():
             peaks.doubt([face], text, peak.low * measured / speed, peak.high * measured / speed)
 
 
@@ -71,12 +67,10 @@ def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: flo
     """
     peak = peaks[face]
     at = np.searchsorted(time, peak.time)
-    near = spread[max(at - 3, 0) : at + 4]
-    bending = near.mean() if len(near) else 0.0
+    bending = spread[max(at - 3, 0) : at + 4].mean()
     if 2.0 * bending > _GROSS * wave:
         bar = "incident" if face == "A" else "receiving"
-        share = f"{2.0 * bending / wave:.0%}"
-        text = f"the gauges of the {bar} bar differ by {share} of the wave there"
+        text = f"the gauges of the {bar} bar differ by {2.0 * bending / wave:.0%} of the wave there"
         peaks.doubt(face, text, peak.low - bending, peak.high + bending)
 
 
@@ -104,7 +98,7 @@ def check_impulse(
     force_a = faces.force_a[first:last]
     force_b = faces.force_b[first:last]
     known = np.isfinite(force_a)
-    plain = float(force_a[known].sum() / max(force_b[known].sum(), 1e-300)) - 1.0
+    plain = force_a[known].sum() / max(force_b[known].sum(), 1e-300) - 1.0
     allowed = NORMAL * (gains_sd + zeros_sd / largest.value)
     gains = [plain]
     if "A" in peaks:
@@ -117,7 +111,7 @@ def check_impulse(
                 return mass
     if abs(plain) > allowed:
         text = f"A has {1.0 + plain:.3g} times the impulse of B: check gains, zeros and arrivals"
-        for face, peak in [*peaks.items()]:
+        for face, peak in peaks.items():
             factors = [1.0 + gain for gain in gains]
             if face != "B":
                 factors = [1.0 / max(factor, 1e-3) for factor in factors]
@@ -151,15 +145,15 @@ def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float
 
 
 def check_specimen(
-    peaks: Peaks, pressed: float, document: RecordDocument, mass: float | None
+    peaks: Peaks, pressed: float, strongest: float | None, mass: float | None
 ) -> list[str]:
-    """Compare the peaks with each other, with the incident wave [N] and the strength (in place).
+    """Compare the peaks with each other, and with what is possible (in place).
 
+    pressed, strongest : forces of the incident wave and of the specimen [N].
     mass : of the specimen whose inertia explains that the faces differ [kg], None without one.
 
     Returns a note on a specimen that is not in equilibrium.
     """
-    strongest = document.specimen.strongest
     before = dict(peaks)
     for face, peak in before.items():
         if peak.low > 2.0 * pressed:

@@ -4,8 +4,6 @@ Every step adds a `Change` with its size.  What cannot be mended without inventi
 marked as unknown, or refused.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +13,7 @@ from scipy.ndimage import binary_closing, maximum_filter, median_filter
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import RecordDocument
+from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.recorder import Changes, Trace, read_traces
 
 #: no wave of a bar is shorter [s]
@@ -39,19 +37,19 @@ _INCIDENT = 0.2
 class Wave(NamedTuple):
     """The first wave of a signal, by samples.
 
-    foot, end : first and last sample; half, falling : first and last sample above half its top.
+    half, falling : first and last sample above half its top; foot, end : first and last sample.
     rising : samples from a tenth to half of the top.
     peak : top of the smoothed signal, above 0; sign : +1 for tension.
     ended : whether the signal returns to rest.
     """
 
-    foot: int
     half: int
     falling: int
-    end: int
     rising: int
     peak: float
     sign: float
+    foot: int
+    end: int
     ended: bool
 
     @property
@@ -68,14 +66,18 @@ class Wave(NamedTuple):
 class Signal(NamedTuple):
     """The strain (n,) of one bar or one wave about its rest, compression negative.
 
-    known : (n,) whether a sample is known.
+    role, name, bar, changes, step, known : as of a `Trace`.
     noise : standard deviation of a sample at rest, correlated over `memory` samples.
     offset : standard deviation of the baseline.
     spread : (n,) half the difference between the gauges of a bar; 0 for one gauge.
     single : whether a bar has one working gauge, which does not show bending.
     """
 
+    role: str
     name: str
+    bar: BarTable
+    changes: Changes
+    step: float
     strain: Array
     known: Flags
     noise: float
@@ -87,17 +89,16 @@ class Signal(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Mended signals over even time: `start` and `step` [s].
+    """Mended signals over even time from `start` [s] on.
 
     reflected : of its own column; `incident` where the incident gauge records both waves.
     """
 
+    document: RecordDocument
     start: float
-    step: float
     incident: Signal
     reflected: Signal
     receiving: Signal
-    changes: Changes
 
     @property
     def shared(self) -> bool:
@@ -115,13 +116,14 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     asked = document.record
     bar = document.incident_bar
     behind = document.receiving_bar
-    start, step, traces = read_traces(document, folder, changes)
+    start, traces = read_traces(document, folder, changes)
     for role, gauges in traces.items():
-        traces[role] = [_without_faults(trace, step, changes) for trace in gauges]
+        traces[role] = [_without_faults(trace) for trace in gauges]
     stays = [
-        _first_stay(trace.strain - _rest_of(trace.strain), step, _INCIDENT, trace.name)
+        _first_stay(trace, trace.strain - _rest_of(trace.strain), _INCIDENT)
         for trace in traces["incident"]
     ]
+    step = traces["incident"][0].step
     passage = (bar.length or math.inf) / bar.wave_speed
     passes = min(stay.last - stay.first + 1 for stay in stays) * step / passage
     if passes > _PASSES:
@@ -130,17 +132,16 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             "(record.time_unit)?"
         )
     # the first wave of a signal begins before the first echo of a far end
-    limits = dict.fromkeys(traces, math.inf)
+    length = len(traces["incident"][0].strain)
+    limits = dict.fromkeys(traces, length)
     if not asked.aligned:
         first = min(stay.first for stay in stays)
-        delay = bar.gauge / bar.wave_speed + behind.gauge / behind.wave_speed + behind.echo
-        limits |= {
-            "receiving": first + delay / step,
-            "incident": first + 2.0 * passage / step,
-        }
+        delay = bar.passage + behind.passage + behind.echo
+        limits["incident"] = int(min(length, first + 2.0 * passage / step))
+        limits["receiving"] = int(min(length, first + delay / step))
     polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
-    signals: dict[str, Signal] = {}
-    pressing = 0.0  # sign of the incident wave in the file
+    signals = dict[str, Signal]()
+    signs = list[float]()
     for role, gauges in traces.items():
         end = 0
         turned = list[Signal]()
@@ -149,23 +150,22 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             end = max(min(stay.first - 2 * stay.rising for stay in stays), 0)
         for trace in gauges:
             if asked.aligned:
-                signal = _cut_out(trace, step, changes)
+                signal = _cut_out(trace)
             else:
-                signal = _about_rest(trace, step, end, limits[role], changes)
+                signal = _about_rest(trace, end, limits[role])
             # one sign a bar: a reflected wave has the sign of its incident gauge
             sign = polarity or -signal.wave.sign
             if role == "reflected":
-                sign = polarity or -pressing
-            if role == "incident" and not turned:
-                pressing = -sign
+                sign = signs[0]
+            signs.append(sign)
             if sign < 0.0:
                 names.append(signal.name)
-            passing = signal.wave._replace(sign=signal.wave.sign * sign)
-            turned.append(signal._replace(strain=signal.strain * sign, wave=passing))
+            wave = signal.wave._replace(sign=signal.wave.sign * sign)
+            turned.append(signal._replace(strain=signal.strain * sign, wave=wave))
         if names and not polarity:
             text = "compression is positive in the file; the sign is changed"
-            changes.add("sign", ", ".join(names), text)
-        signals[role] = _joined(turned, step, limits[role], changes)
+            changes.add("sign", text, signal=", ".join(names))
+        signals[role] = _joined(turned, limits[role])
     incident = signals["incident"]
     if asked.window is not None:
         begin, end = (round((time - start) / step) for time in asked.window)
@@ -173,10 +173,10 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             raise UsageError("record.window must be [begin, end] within the record")
         inside = np.zeros(len(incident.strain))
         inside[begin : end + 1] = incident.strain[begin : end + 1]
-        wave = _first_wave(inside, step, incident.noise, incident.name)
+        wave = _first_wave(incident, inside, incident.noise)
         incident = incident._replace(wave=wave._replace(foot=begin, end=end))
     reflected = signals.get("reflected", incident)
-    return Record(start, step, incident, reflected, signals["receiving"], changes)
+    return Record(document, start, incident, reflected, signals["receiving"])
 
 
 # --- first waves ----------------------------------------------------------------------------------
@@ -190,67 +190,58 @@ def _runs(same: Flags) -> tuple[Places, Places]:
 
 def smooth(values: Array, samples: int) -> Array:
     """Running means over so many samples."""
-    if samples < 2:
-        return values
     return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
 
 
 class _Stay(NamedTuple):
-    """The first stay of a smoothed signal above a share of its largest value, by samples."""
+    """The first stay of a signal above a share of its largest value, by samples.
 
-    smoothed: Array
+    peak : its smoothed top, above 0; sign : +1 for tension.
+    """
+
     first: int
     last: int
     rising: int
+    peak: float
+    sign: float
 
 
-def _first_stay(values: Array, step: float, share: float, name: str) -> _Stay:
-    """The first long stay of a signal above a share of its largest value.
+def _first_stay(gauge: Trace | Signal, values: Array, share: float, noise: float = 0.0) -> _Stay:
+    """The first long stay of a signal (n,) about zero above a share of its largest value.
 
     Trigger bursts swing within a few microseconds: running medians remove them.
 
-    Raises UsageError for a signal that stays nowhere.
+    Raises UsageError for a signal that stays nowhere, or does not rise above its noise at rest.
     """
-    half = min(3 * round(_SHORTEST / step), _LONGEST_MEDIAN)
-    width = max(1, round(2.0 * _SHORTEST / step))
+    half = min(3 * round(_SHORTEST / gauge.step), _LONGEST_MEDIAN)
+    width = max(1, round(2.0 * _SHORTEST / gauge.step))
     smoothed = smooth(median_filter(values, 2 * half + 1, mode="nearest"), width)
     size = np.abs(smoothed)
     begins, lengths = _runs(size > share * size.max())
-    if lengths.max(initial=0) < 3:
-        raise UsageError(f"{name}: no wave rises above the noise before it")
+    if lengths.max(initial=0) < 3 or not size.max() > 5.0 * noise / math.sqrt(width):
+        raise UsageError(f"{gauge.name}: no wave rises above the noise before it")
     chosen = np.argmax(lengths >= max(3.0, _LASTS * lengths.max()))
     first = begins[chosen]
-    last = int(begins[chosen] + lengths[chosen]) - 1
-    upward = math.copysign(1.0, smoothed[first]) * smoothed
-    top = upward[first : last + 1].max()
-    foot = np.flatnonzero(upward[:first] < 0.2 * share * top).max(initial=0)
-    return _Stay(smoothed, first, last, first - foot)
+    last = first + lengths[chosen] - 1
+    sign = math.copysign(1.0, smoothed[first])
+    upward = sign * smoothed
+    peak = upward[first : last + 1].max()
+    foot = np.flatnonzero(upward[:first] < 0.2 * share * peak).max(initial=0)
+    return _Stay(first, last, first - foot, peak, sign)
 
 
-def _first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
-    """The first wave of a signal about zero.
-
-    Raises UsageError for a signal that does not rise above its noise at rest.
-    """
-    smoothed, half, falling, rising = _first_stay(values, step, 0.5, name)
-    width = max(1, round(2.0 * _SHORTEST / step))
-    if not np.abs(smoothed).max() > 5.0 * noise / math.sqrt(width):
-        raise UsageError(f"{name}: no wave rises above the noise before it")
-    sign = math.copysign(1.0, smoothed[half])
-    top = (sign * smoothed[half : falling + 1]).max()
-    width = max(width, rising // 5 + 1)
-    upward = sign * smooth(values, width)
-    level = max(0.01 * top, 4.0 * noise / math.sqrt(width))
-    before = np.flatnonzero(upward[:half] < level)
-    behind = falling + np.flatnonzero(upward[falling:] < max(0.02 * top, level))
+def _first_wave(gauge: Trace | Signal, values: Array, noise: float) -> Wave:
+    """The first wave of a signal (n,) about zero; UsageError as `_first_stay`."""
+    stay = _first_stay(gauge, values, 0.5, noise)
+    width = max(round(2.0 * _SHORTEST / gauge.step), stay.rising // 5 + 1)
+    upward = stay.sign * smooth(values, width)
+    level = max(0.01 * stay.peak, 4.0 * noise / math.sqrt(width))
+    before = np.flatnonzero(upward[: stay.first] < level)
+    behind = stay.last + np.flatnonzero(upward[stay.last :] < max(0.02 * stay.peak, level))
     return Wave(
+        *stay,
         foot=before.max(initial=-1) + 1,
-        half=half,
-        falling=falling,
         end=behind.min(initial=len(values) - 1),
-        rising=rising,
-        peak=top,
-        sign=sign,
         ended=len(behind) > 0,
     )
 
@@ -258,11 +249,11 @@ def _first_wave(values: Array, step: float, noise: float, name: str) -> Wave:
 # --- spikes, clipping -----------------------------------------------------------------------------
 
 
-def _without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
+def _without_faults(trace: Trace) -> Trace:
     """A gauge whose spikes, which jump up and down faster than any wave of a bar, are replaced by
     lines, and whose clipped samples are marked unknown."""
     values = trace.strain.copy()
-    longest = min(max(5, math.ceil(_SHORTEST / step)), 40)
+    longest = min(max(5, math.ceil(_SHORTEST / trace.step)), 40)
     removed = list[tuple[int, int, float]]()
     for _ in range(3):  # a large spike hides smaller ones
         spikes = _spikes(values, longest)
@@ -276,11 +267,13 @@ def _without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
     if removed:
         samples = sum(last - first + 1 for first, last, _ in removed)
         first, _, size = max(removed, key=lambda spike: abs(spike[2]))
-        text = (
+        trace.changes.add(
+            "spikes",
             f"{_counted(len(removed), 'spike')} ({_counted(samples, 'sample')}) removed, the "
-            f"largest {size * 1e6:.4g} microstrain at sample {first}"
+            f"largest {size * 1e6:.4g} microstrain at sample {first}",
+            size,
+            trace.name,
         )
-        changes.add("spikes", trace.name, text, size)
     known = trace.known.copy()
     head = values[: max(len(values) // 20, _FEWEST)]
     # a recorder writes the end of its range again and again; without noise a top may be flat
@@ -290,12 +283,14 @@ def _without_faults(trace: Trace, step: float, changes: Changes) -> Trace:
         repeats = _runs(same)[1].max()
         if np.ptp(head) > 0.0 and repeats >= 8 and repeats > 2 * (quiet + 1):
             known &= ~same
-            text = (
-                f"clipped at {extreme * 1e6:.5g} microstrain, {same.sum()} samples: its "
-                "peak is not known"
+            trace.changes.add(
+                "clipped",
+                f"clipped at {extreme * 1e6:.5g} microstrain, {same.sum()} samples: its peak is "
+                "not known",
+                extreme,
+                trace.name,
             )
-            changes.add("clipped", trace.name, text, extreme)
-    return Trace(trace.name, values, known)
+    return trace._replace(strain=values, known=known)
 
 
 def _counted(number: int, noun: str) -> str:
@@ -360,7 +355,7 @@ def _line(quiet: Array, place: Array) -> tuple[float, float, float, float]:
     return slope, noise * math.sqrt(memory / squares), noise, memory
 
 
-def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Changes) -> Signal:
+def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
     """A gauge about its rest: baseline and drift come from the samples before its first wave.
 
     end : sample before which the other bar shows that this one is at rest, 0 where it does not;
@@ -370,20 +365,20 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
     """
     name = trace.name
     values = trace.strain
-    places = np.arange(len(trace.strain), dtype=float)
-    seen = slice(int(min(limit, len(values))))
-    wave = _first_wave((values - _rest_of(values))[seen], step, 0.0, name)
+    changes = trace.changes
+    places = np.arange(len(values), dtype=float)
+    wave = _first_wave(trace, (values - _rest_of(values))[:limit], 0.0)
     early = max(wave.half - 3 * wave.rising, end)
     if early >= 3 * _BASELINE:  # the wave above the scatter of the rest about a line through it
         third = early // 3
         climb = float(np.median(values[2 * third : early]) - np.median(values[:third]))
         slope = climb / (2.0 * third)
         left = values[:early] - slope * places[:early]
-        level = float(np.median(left))
-        scatter = _ROBUST * float(np.median(np.abs(left - level)))
+        level = np.median(left)
+        scatter = _ROBUST * np.median(np.abs(left - level))
         if abs(climb) <= 7.0 * scatter / math.sqrt(third):
             slope = 0.0
-        wave = _first_wave((values - (level + slope * places))[seen], step, scatter, name)
+        wave = _first_wave(trace, (values - (level + slope * places))[:limit], scatter)
     count = max(wave.foot - max(3, wave.rising // 5), 0)
     if end >= _BASELINE:
         count = max(min(count, len(values)), min(end, wave.half))
@@ -398,61 +393,67 @@ def _about_rest(trace: Trace, step: float, end: int, limit: float, changes: Chan
         mean = values[rest].mean()
         if abs(np.median(values[:5]) - mean) > 0.1 * wave.peak:
             raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
-        changes.add("baseline", name, "taken from the end of the record")
-        wave = _first_wave(values - mean, step, 0.0, name)
+        changes.add("baseline", "taken from the end of the record", signal=name)
+        wave = _first_wave(trace, values - mean, 0.0)
     quiet = values[rest]
     place = places[rest]
     away = np.abs(quiet - np.median(quiet))
     burst = away > max(_ODD * _ROBUST * np.median(away), 0.02 * wave.peak)
     if 0 < burst.sum() < len(quiet) // 3:
-        text = (
-            f"{burst.sum()} samples of trigger noise, up to {away.max() * 1e6:.4g} "
-            "microstrain, are left out of the rest"
+        changes.add(
+            "baseline",
+            f"{burst.sum()} samples of trigger noise, up to {away.max() * 1e6:.4g} microstrain, "
+            "are left out of the rest",
+            away.max(),
+            name,
         )
-        changes.add("baseline", name, text, away.max())
         quiet = quiet[~burst]
         place = place[~burst]
     slope, slope_sd, noise, memory = _line(quiet, place)
     mean = quiet.mean()
-    middle = place.mean()
     offset = noise * math.sqrt(min(1.0, memory / len(quiet)))
     if abs(mean) > 0.005 * wave.peak:
-        text = (
+        changes.add(
+            "baseline",
             f"a baseline of {mean * 1e6:.4g} microstrain is subtracted "
-            f"({abs(mean) / wave.peak:.1%} of the wave)"
+            f"({abs(mean) / wave.peak:.1%} of the wave)",
+            mean,
+            name,
         )
-        changes.add("baseline", name, text, mean)
-    zero = np.full(len(values), mean)
+    strain = values - mean
+    middle = place.mean()
     reach = wave.end - middle
     drift = slope * reach
     if abs(slope) > 5.0 * slope_sd and abs(drift) > 0.01 * wave.peak:
-        zero += slope * (places - middle)
+        strain = values - (mean + slope * (places - middle))
         offset = math.hypot(offset, slope_sd * reach)
-        text = (
-            f"a drift of {slope / step * 1e3:.4g} microstrain/ms is subtracted, "
-            f"{drift * 1e6:.3g} microstrain in total"
+        changes.add(
+            "drift",
+            f"a drift of {slope / trace.step * 1e3:.4g} microstrain/ms is subtracted, "
+            f"{drift * 1e6:.3g} microstrain in total",
+            drift,
+            name,
         )
-        changes.add("drift", name, text, drift)
     spread = np.zeros(len(values))
-    return Signal(name, values - zero, trace.known, noise, offset, spread, wave, memory)
+    return Signal(*trace._replace(strain=strain), noise, offset, spread, wave, memory)
 
 
-def _cut_out(trace: Trace, step: float, changes: Changes) -> Signal:
+def _cut_out(trace: Trace) -> Signal:
     """A wave that was cut out at its foot: without a rest, its first samples are its zero."""
     start = float(np.median(trace.strain[:3]))
     values = trace.strain - start
-    noise = _ROBUST * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
-    wave = _first_wave(values, step, noise, trace.name)
+    noise = _ROBUST * np.median(np.abs(np.diff(values))) / math.sqrt(2.0)
+    wave = _first_wave(trace, values, noise)
     text = f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero"
-    changes.add("baseline", trace.name, text, start)
+    trace.changes.add("baseline", text, start, trace.name)
     spread = np.zeros(len(values))
-    return Signal(trace.name, values, trace.known, noise, 0.01 * wave.peak, spread, wave)
+    return Signal(*trace._replace(strain=values), noise, 0.01 * wave.peak, spread, wave)
 
 
 # --- the gauges of a bar --------------------------------------------------------------------------
 
 
-def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -> Signal:
+def _joined(gauges: list[Signal], limit: int) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending
     that they show."""
     peaks = [gauge.wave.peak for gauge in gauges]
@@ -466,32 +467,31 @@ def _joined(gauges: list[Signal], step: float, limit: float, changes: Changes) -
             alive.append(gauge)
         else:
             text = f"records {share:.1%} of the wave of its partner and is left out"
-            changes.add("gauges", gauge.name, text)
+            gauge.changes.add("gauges", text, signal=gauge.name)
     if len(alive) == 1:
         return alive[0]._replace(single=len(gauges) > 1)
     first = min(gauge.wave.foot for gauge in alive)
-    known = np.stack([gauge.known for gauge in alive], axis=1)
-    strains = np.stack([gauge.strain for gauge in alive], axis=1)
-    every = np.all(known, axis=1)
+    known = np.array([gauge.known for gauge in alive])
+    strains = np.array([gauge.strain for gauge in alive])
+    every = np.all(known, axis=0)
     # where a gauge is not known the others stand for the mean, with the largest difference so far
-    mean = (strains * known).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    spread = 0.5 * np.ptp(strains, axis=1)
+    mean = (strains * known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    spread = 0.5 * np.ptp(strains, axis=0)
     spread[~every] = spread[first:][every[first:]].max(initial=0.0)
     count = max(first - 3, _BASELINE)
     _, _, noise, memory = _line(mean[:count], np.arange(count, dtype=float))
-    name = " and ".join(gauge.name for gauge in alive)
-    wave = _first_wave(mean[: int(min(limit, len(mean)))], step, noise, name)
-    bending = spread[wave.foot : wave.end + 1].max()
-    text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
-    changes.add("gauges", name, text, bending)
-    return Signal(
-        name=name,
+    joined = alive[0]._replace(
+        name=" and ".join(gauge.name for gauge in alive),
         strain=mean,
-        known=np.any(known, axis=1),
+        known=np.any(known, axis=0),
         noise=noise,
         memory=memory,
         offset=math.hypot(*(gauge.offset for gauge in alive)) / len(alive),
         spread=spread,
-        wave=wave,
         single=len(alive) < len(gauges),
     )
+    wave = _first_wave(joined, mean[:limit], noise)
+    bending = spread[wave.foot : wave.end + 1].max()
+    text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
+    joined.changes.add("gauges", text, bending, joined.name)
+    return joined._replace(wave=wave)

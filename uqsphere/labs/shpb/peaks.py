@@ -80,14 +80,9 @@ class Force(NamedTuple):
 
     def means(self, samples: int) -> Array:
         """Running means [N] over an odd number of samples, of medians of three."""
-        samples = min(samples, self.most)
+        samples = min(samples, len(self.force) - 1 + len(self.force) % 2)
         padded = np.pad(self.medians(3), samples // 2, mode="edge")
         return np.convolve(padded, np.full(samples, 1.0 / samples), mode="valid")
-
-    @property
-    def most(self) -> int:
-        """The largest odd number of samples that it has."""
-        return len(self.force) - 1 + len(self.force) % 2
 
 
 class _Top(NamedTuple):
@@ -104,12 +99,13 @@ def largest_force(course: Force) -> Peak:
     """The largest force of a record with its 95 % interval and doubts."""
     medians = course.medians(5)
     highest = int(np.argmax(medians))
-    level = float(medians[highest])
-    single = float(course.force.max())
+    level = medians[highest]
+    single = course.force.max()
     first, behind = stretch(medians, 0.8 * level, highest)
     count = behind - first
-    width = min(max(5, 2 * (count // 6) + 1), course.most)
-    top = _flat_top(course, count, width) or _pointed_top(course, level, width)
+    width = max(5, 2 * (count // 6) + 1)
+    most = max(3, 2 * (width // 6) + 1)
+    top = _flat_top(course, count, most) or _pointed_top(course, level, most)
     systematic = max(course.sd[top.at] ** 2 - course.noise**2, 0.0)
     half = NORMAL * math.sqrt(systematic + top.scatter**2)
     high = top.high + half
@@ -137,51 +133,49 @@ def stretch(values: Array, level: float, at: int) -> tuple[int, int]:
     return before.max(initial=-1) + 1, behind.min(initial=len(values))
 
 
-def _pointed_top(course: Force, level: float, width: int) -> _Top:
+def _pointed_top(course: Force, level: float, most: int) -> _Top:
     """The top of a force that is round or sharp, from running means over n and 2n samples.
 
-    n is odd and makes the mean quiet enough, beside the level of the top, but is at most a third of
-    `width`.  What the mean over n misses is all of their difference at a sharp top, where it grows
-    with n, and a third of it at a round one, where it grows with n² (L. F. Richardson, 1927).  The
-    middle of both is the value, never above the highest median of three samples; they are its ends.
+    n is odd and makes the mean quiet enough, beside the level of the top, but is at most `most`.
+    What the mean over n misses is all of their difference at a sharp top, where it grows with n,
+    and a third of it at a round one, where it grows with n² (L. F. Richardson, 1927).  The middle
+    of both is the value, never above the highest median of three samples; they are its ends.
     """
     wanted = course.memory * (course.noise / (_QUIET * level)) ** 2
-    samples = max(3, 2 * int(min(wanted, 1e9) // 2) + 1)
-    samples = min(samples, max(3, 2 * (width // 6) + 1))
+    samples = max(3, 2 * int(min(wanted, most) // 2) + 1)
     means = course.means(samples)
     at = int(np.argmax(means))
     highest = means.max()
-    missed = max(highest - float(course.means(2 * samples + 1).max()), 0.0)
+    missed = max(highest - course.means(2 * samples + 1).max(), 0.0)
     # the largest of m equal means exceeds them by luck (Blom)
     scatter = course.scatter(samples)
-    near = float((means > highest - 2.0 * scatter).sum())
+    near = (means > highest - 2.0 * scatter).sum()
     equal = 1.0 + near / (samples * max(1.0, course.memory / samples))
     value = highest - scatter * float(ndtri((equal - 0.375) / (equal + 0.25)))
     ends = (value + missed / 3.0, value + missed)
-    value = min(value + 2.0 / 3.0 * missed, float(course.medians(3).max()))
+    value = min(value + 2.0 / 3.0 * missed, course.medians(3).max())
     # means over n and 2n share half of their samples
     scatter *= math.sqrt((4.0 / 3.0) ** 2 + (1.0 / 3.0) ** 2)
     return _Top(value, min(value, ends[0]), max(value, ends[1]), scatter, at)
 
 
-def _flat_top(course: Force, count: int, width: int) -> _Top | None:
+def _flat_top(course: Force, count: int, samples: int) -> _Top | None:
     """The mean of a flat top, None for a top that is not flat, or too noisy to tell.
 
     Flat: half of the top or more lies within a percent, and a parabola through it does not bend
     beyond the noise.
     """
-    samples = max(3, 2 * (width // 6) + 1)
     means = course.means(samples)
     at = int(np.argmax(means))
-    top = float(means[at])
+    top = means[at]
     first, behind = stretch(means, top - max(5.0 * course.scatter(samples), _FLAT * top), at)
     inner = slice(first + samples // 2, behind - samples // 2)
     number = inner.stop - inner.start
     if number <= 0.5 * count or number < 5:
         return None
     flat = course.force[inner]
-    fitted = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, number), flat, 2)
-    _, slope, bend = fitted.tolist()
+    places = np.linspace(-1.0, 1.0, number)
+    _, slope, bend = np.polynomial.polynomial.polyfit(places, flat, 2)
     scatter = course.scatter(number)
     # variances of slope and bend: 3 and 45/4 of that of the mean
     unlikely = slope**2 / 3.0 + bend**2 / 11.25 > 6.0 * scatter**2

@@ -1,8 +1,6 @@
 """From the files of a recorder to strains over even time: tables as recorders write them, units,
 clock."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -27,13 +25,15 @@ _LONG, _LOOKED_AT = 60, 200
 _METADATA = 40
 #: most bytes of a file
 _LARGEST = 1 << 28
+_NUMBER = r"\W*([\d.]+(?:e[+-]?\d+)?)"
 _RATE = re.compile(
-    r"sampl\w*[ _]*(?:rate|frequency)\W*(?P<rate>[\d.]+(?:e[+-]?\d+)?)\s*(?P<prefix>[kM]?)", re.I
+    rf"sampl\w*[ _]*(?:rate|frequency){_NUMBER}\s*(?:([kM])(?=Hz|S))?", re.IGNORECASE
 )
 _INTERVAL = re.compile(
-    r"sampl\w*[ _]*(?:interval|time|period)\W*(?P<step>[\d.]+(?:e[+-]?\d+)?)\W*(?P<unit>[a-zµ]*)",
-    re.I,
+    rf"sampl\w*[ _]*(?:interval|time|period){_NUMBER}\W*([a-zµ]*)", re.IGNORECASE
 )
+#: of a rate
+_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e6}
 #: missing samples in a row that a line fills; fewest samples of a record
 _SHORT_GAP, _FEWEST = 10, 20
 #: largest strain of an elastic bar; longest record of a test [s]
@@ -70,17 +70,18 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     Raises TableError for a file without a table of numbers, AccessError as
         `uqsphere.files.read_given`.
     """
-    name, (lines, notes) = path.name, tables.read_lines(path, largest)
+    name = path.name
+    lines, notes = tables.read_lines(path, largest)
     for number, line in lines.items():
         if re.fullmatch('"[^"]*"', line):  # quotes around a whole line
             lines[number] = line.strip('"')
     live = {number: line for number, line in lines.items() if not is_comment(line)}
-    looked_at = [*live.items()][1:] or [*live.items()]
+    skipped = 1
     if len(live) > _LONG:
-        looked_at = [*live.items()][len(live) // 2 :][:_LOOKED_AT]
-    forms = [_form_of(dict(looked_at), written, name) for written in _WRITTEN]
-    form = max(forms, key=lambda form: (min(len(form.places), 2), form.whole))
-    divider, mark, width, places, whole = form
+        skipped = len(live) // 2
+    looked_at = dict([*live.items()][skipped:][:_LOOKED_AT]) or live
+    forms = [_form_of(looked_at, written, name) for written in _WRITTEN]
+    divider, mark, width, places, whole = max(forms, key=lambda f: (min(len(f.places), 2), f.whole))
     if not (places and whole):
         raise TableError(
             f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
@@ -89,9 +90,10 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
 
     def has_numbers(row: list[str]) -> bool:
         """Whether a row is one of numbers, not all of them missing."""
-        if len(row) <= places[-1] or not any(row[place] for place in places):
+        numbers = [row[place] for place in places if place < len(row)]
+        if len(numbers) < len(places) or not any(numbers):
             return False
-        return all(_is_number(row[place], mark) for place in places)
+        return all(_is_number(cell, mark) for cell in numbers)
 
     first = next(number for number, row in cells.items() if has_numbers(row))
     body = {number: row for number, row in cells.items() if number >= first}
@@ -122,10 +124,10 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     if mark == ",":
         notes.append(f"{name}: decimal comma")
     # an empty heading is named by its place, a repeated one gets its place
-    headings = [heading or f"column {place}" for place, heading in enumerate(above[-1], 1)]
-    repeated = {heading for heading in headings if headings.count(heading) > 1}
-    for place, heading in enumerate(headings):
-        if heading in repeated:
+    names = [heading or f"column {place}" for place, heading in enumerate(above[-1], 1)]
+    headings = [*names]
+    for place, heading in enumerate(names):
+        if names.count(heading) > 1:
             headings[place] = f"{place + 1} {heading}"
     used = [place for place in range(width) if place in places or above[-1][place]]
     rows = dict(enumerate([headings, *units], first - len(units) - 1)) | body
@@ -139,16 +141,13 @@ def _form_of(lines: dict[int, str], written: str, name: str) -> _Form:
     divider = written[0]
     mark = written[1]
     is_number = NUMBER[mark].fullmatch
-    rows = [*cells_of(lines, divider, name, strict=False).values()]
-    rows = [row for row in rows if any(map(is_number, row))]
-    if not rows:
-        return _Form(divider, mark, 0, [], 0)
-    width = mode(map(len, rows))
+    cells = cells_of(lines, divider, name, strict=False)
+    rows = [row for row in cells.values() if any(map(is_number, row))]
+    width = mode([*map(len, rows)] or [0])
     rows = [row for row in rows if len(row) == width]
     places = []
     with_words = set[int]()
-    for place in range(width):
-        column = [row[place] for row in rows]
+    for place, column in enumerate(zip(*rows, strict=True)):
         words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
         if any(map(is_number, column)) and 2 * len(words) < len(column):
             places.append(place)
@@ -176,7 +175,7 @@ class Change(NamedTuple):
 class Changes(list[Change]):
     """The steps of mending in their order."""
 
-    def add(self, step: str, signal: str, text: str, size: float | None = None) -> None:
+    def add(self, step: str, text: str, size: float | None = None, signal: str = "") -> None:
         """Add a step; its text begins with the name of the signal."""
         if signal:
             text = f"{signal}: {text}"
@@ -187,19 +186,19 @@ class Changes(list[Change]):
 
 
 class Trace(NamedTuple):
-    """A gauge over even time: strain (n,), and whether a sample is known (n,)."""
+    """A gauge over even time: strain (n,), and whether a sample is known (n,).
 
+    role : of its wave, incident, reflected or receiving; step : of time [s]; changes : where its
+        mending is noted.
+    """
+
+    role: str
     name: str
+    bar: BarTable
+    changes: Changes
+    step: float
     strain: Array
     known: Flags
-
-
-class Traces(NamedTuple):
-    """The gauges of a record by role, over even time: `start` and `step` [s]."""
-
-    start: float
-    step: float
-    by_role: dict[str, list[Trace]]
 
 
 class Column(NamedTuple):
@@ -219,9 +218,9 @@ class Column(NamedTuple):
     def rises(self) -> bool:
         """Whether it rises like a time."""
         steps = np.diff(self.values[np.isfinite(self.values)])
-        if self.table.faults or not len(steps):
+        if self.table.faults or not steps.max(initial=0.0) > 0.0:
             return False
-        return bool((steps >= 0.0).mean() > 0.99 and steps.max() > 0.0)
+        return bool((steps >= 0.0).mean() > 0.99)
 
     def unit(self, key: str = "") -> tuple[str, str]:
         """Dimension and unit of a key or of the heading; the dimension is empty if not known."""
@@ -249,8 +248,10 @@ class Column(NamedTuple):
         return self.checked() * UNITS["time"].get(self.unit(unit)[1] or "s", math.nan)
 
 
-def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Traces:
-    """The gauges of an input file as strains over even time.
+def read_traces(
+    document: RecordDocument, folder: Path, changes: Changes
+) -> tuple[float, dict[str, list[Trace]]]:
+    """The beginning [s] of a record, and its gauges by role as strains over even time.
 
     Raises UsageError for columns, units or a clock that cannot be those of a record.
     """
@@ -260,7 +261,7 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
     for file in (asked.file, *asked.more_files):
         table, above = read_recorded(folder / file, _LARGEST)
         for note in table.notes:
-            changes.add("read", "", note)
+            changes.add("read", note)
         files.append([])
         for heading in table.headings:
             table.faults = {}
@@ -269,15 +270,18 @@ def read_traces(document: RecordDocument, folder: Path, changes: Changes) -> Tra
         metadata.append(above)
     time, place = _clock(asked, files, metadata[0], changes)
     time = _common(time, place, files, asked.time_unit, changes)
-    strains = list[tuple[str, str, Array]]()
-    for role, gauges in _by_role(asked, files, place, time).items():
-        bar = document.receiving_bar if role == "receiving" else document.incident_bar
-        for column in gauges:
+    traces = list[Trace]()
+    for role, columns in _by_role(asked, files, place, time).items():
+        bar = document.incident_bar
+        if role == "receiving":
+            bar = document.receiving_bar
+        for column in columns:
             name = column.name
             if len(files) > 1:
                 name = f"{Path(column.table.name).stem} {name}"
-            strains.append((role, name, _strain(column, name, bar, changes)[: len(time)]))
-    return _even(time, strains, changes)
+            strain = _strain(column, name, bar, changes)[: len(time)]
+            traces.append(Trace(role, name, bar, changes, math.nan, strain, np.isfinite(strain)))
+    return _even(time, traces, changes)
 
 
 # --- time -----------------------------------------------------------------------------------------
@@ -297,7 +301,7 @@ def _clock(
     if not interval and not columns[0].rises and len(files) == 1:
         interval = _interval(metadata)
     if guessed and interval > 0.0:
-        changes.add("read", "", f"no time column: a sample every {interval * 1e6:.6g} us")
+        changes.add("read", f"no time column: a sample every {interval * 1e6:.6g} us")
         return interval * np.arange(len(table), dtype=float), -1
     place = table.place(asked.time or 1)
     column = columns[place]
@@ -311,16 +315,18 @@ def _clock(
             hint = f'column {rising[0]!r} does: record.time = "{rising[0]}"'
         return UsageError(f"{name}: column {column.name!r} does not rise like a time; {hint}")
 
-    several = len(columns) < 3 or len(files) > 1
-    if guessed and (dimension in ("strain", "voltage") or (several and not column.rises)):
+    alone = len(columns) > 2 and len(files) == 1
+    if guessed and (dimension in ("strain", "voltage") or not (alone or column.rises)):
         raise other_column()
     if unit and dimension != "time":
         raise UsageError(
             f"the unit of time must be one of {', '.join(UNITS['time'])} (record.time_unit), not "
             f"{unit!r}"
         )
-    text = f"is in {unit}" if unit else "has no unit: seconds are taken"
-    changes.add("read", column.name, text)
+    text = "has no unit: seconds are taken"
+    if unit:
+        text = f"is in {unit}"
+    changes.add("read", text, signal=column.name)
     time = column.in_seconds(asked.time_unit)
     good = time[np.isfinite(time)]
     if len(good) < _FEWEST:
@@ -328,7 +334,6 @@ def _clock(
             f"{name}: {len(good)} samples with a time; a record has at least {_FEWEST}"
         )
     falls = np.diff(good) < 0.0
-    lasts = good[-1] - good[0]
     if guessed and falls.mean() > 0.01:
         raise other_column()
     if falls.any():
@@ -336,6 +341,7 @@ def _clock(
             f"{name}: time falls at sample {np.argmax(falls) + 2}. Does the file contain "
             "several records?"
         )
+    lasts = good[-1] - good[0]
     if lasts > _LONGEST:
         raise UsageError(
             f"{name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?"
@@ -348,10 +354,10 @@ def _interval(text: str) -> float:
     rated = _RATE.search(text)
     timed = _INTERVAL.search(text)
     if rated:
-        rate = float(rated["rate"]) * {"": 1.0, "k": 1e3, "M": 1e6}[rated["prefix"]]
+        rate = float(rated[1]) * _PREFIXES[(rated[2] or "").lower()]
         return 1.0 / rate if rate > 0.0 else 0.0
     if timed:
-        return float(timed["step"]) * UNITS["time"].get(timed["unit"] or "s", 1.0)
+        return float(timed[1]) * UNITS["time"].get(timed[2] or "s", 1.0)
     return 0.0
 
 
@@ -359,7 +365,6 @@ def _common(
     time: Array, place: int, files: list[list[Column]], unit: str, changes: Changes
 ) -> Array:
     """The time that all files have; UsageError for files that do not have the same clock."""
-    step = _step(time)
     count = len(time)
     for columns in files[1:]:
         table = columns[0].table
@@ -370,13 +375,14 @@ def _common(
             )
         if place >= 0:
             apart = np.abs(columns[place].in_seconds(unit)[:count] - time[:count])
-            if not np.nanmax(apart, initial=0.0) <= 0.5 * step:
+            if not np.nanmax(apart, initial=0.0) <= 0.5 * _step(time):
                 raise UsageError(
                     f"{table.name}: its clock differs from that of {files[0][0].table.name}. Write "
                     "both channels with one clock"
                 )
         if len(table) != len(time):
-            changes.add("read", table.name, "files of different length: the longer one is cut")
+            text = "files of different length: the longer one is cut"
+            changes.add("read", text, signal=table.name)
     return time[:count]
 
 
@@ -406,8 +412,8 @@ def _by_role(
         return files[0][files[0][0].table.place(name)]
 
     if asked.incident and asked.receiving:
-        roles = {role: getattr(asked, role) for role in ("incident", "reflected", "receiving")}
-        return {role: [*map(named, names)] for role, names in roles.items() if names}
+        roles = ("incident", "reflected", "receiving")
+        return {role: [*map(named, getattr(asked, role))] for role in roles if getattr(asked, role)}
     if asked.incident or asked.receiving:
         raise UsageError("record.incident and record.receiving are both required")
     signals = [
@@ -480,19 +486,21 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
             f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
             "Is it in another unit (BAR.unit)?"
         )
-    changes.add("read", name, text)
+    changes.add("read", text, signal=name)
     return values
 
 
 # --- even steps -----------------------------------------------------------------------------------
 
 
-def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) -> Traces:
-    """The strains on even steps of time."""
-    raw = np.stack([values for _, _, values in strains])
+def _even(
+    time: Array, traces: list[Trace], changes: Changes
+) -> tuple[float, dict[str, list[Trace]]]:
+    """The beginning [s], and the traces by role, on even steps of time."""
+    raw = np.array([trace.strain for trace in traces])
     there = np.isfinite(time)
     if not there.all():
-        changes.add("read", "", f"{(~there).sum()} rows without a time are ignored")
+        changes.add("read", f"{(~there).sum()} rows without a time are ignored")
         time = time[there]
         raw = raw[:, there]
     time, raw = _distinct(time, raw, changes)
@@ -505,29 +513,31 @@ def _even(time: Array, strains: list[tuple[str, str, Array]], changes: Changes) 
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
-        changes.add("read", "", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
+        changes.add("read", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
     by_role = dict[str, list[Trace]]()
     filled = 0
     lost = 0
-    for (role, name, _), values in zip(strains, raw, strict=True):
+    for trace, values in zip(traces, raw, strict=True):
         good = np.isfinite(values)
-        seen = time[good]
-        after = np.clip(np.searchsorted(seen, grid), 1, len(seen) - 1)
-        wide = seen[after] - seen[after - 1]
-        nearest = np.minimum(np.abs(grid - seen[after - 1]), np.abs(seen[after] - grid))
-        between = nearest > 1e-6 * step
-        outside = (grid < seen[0]) | (grid > seen[-1])
-        unknown = between & (outside | (wide > (_SHORT_GAP + 1.5) * step))
-        filled += (between & (wide > 1.5 * step)).sum()
+        seen = np.concatenate([[-np.inf], time[good], [np.inf]])
+        after = np.searchsorted(seen, grid)
+        before = after - 1
+        gap = seen[after] - seen[before]
+        nearest = np.minimum(grid - seen[before], np.abs(seen[after] - grid))
+        missing = (nearest > 1e-6 * step) & (gap > 1.5 * step)
+        unknown = missing & (gap > (_SHORT_GAP + 1.5) * step)
+        filled += (missing & ~unknown).sum()
         lost += unknown.sum()
-        trace = Trace(name, np.interp(grid, seen, values[good]), ~unknown)
-        by_role.setdefault(role, []).append(trace)
+        strain = np.interp(grid, time[good], values[good])
+        mended = trace._replace(step=step, strain=strain, known=~unknown)
+        by_role.setdefault(trace.role, []).append(mended)
     if filled:
-        changes.add("read", "", f"{filled} missing samples are filled by interpolation")
+        changes.add("read", f"{filled} missing samples are filled by interpolation")
     if lost:
-        text = f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
-        changes.add("read", "", text)
-    return Traces(grid[0], step, by_role)
+        changes.add(
+            "read", f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
+        )
+    return grid[0], by_role
 
 
 def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
@@ -536,21 +546,21 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     same = steps == 0.0
     if not same.any():
         return time, raw
-    equal = (raw[:, 1:] == raw[:, :-1]) | (np.isnan(raw[:, 1:]) & np.isnan(raw[:, :-1]))
+    equal = np.isclose(raw[:, 1:], raw[:, :-1], rtol=0.0, atol=0.0, equal_nan=True)
     twice = same & equal.all(axis=0)
     kept = np.append(True, ~twice)
     if _is_even(time[kept], 0.5):
-        changes.add("read", "", f"{twice.sum()} repeated rows are ignored")
+        changes.add("read", f"{twice.sum()} repeated rows are ignored")
         return time[kept], raw[:, kept]
     first = np.append(True, ~same)
     sample = np.argmax(same) + 2
     if same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
         places = np.flatnonzero(first)
-        text = (
-            f"{same.sum()} samples have the time of the sample before, first sample "
-            f"{sample}: their mean is taken"
+        changes.add(
+            "read",
+            f"{same.sum()} samples have the time of the sample before, first sample {sample}: "
+            "their mean is taken",
         )
-        changes.add("read", "", text)
         counts = np.diff(np.append(places, len(time)))
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
     # a coarse clock takes steps of one digit, again and again
@@ -563,7 +573,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
             "leave out the time column and set record.sample_interval"
         )
     text = "the time has too few digits to distinguish its samples: even steps are assumed"
-    changes.add("read", "", text)
+    changes.add("read", text)
     # the last time is rounded like the others: a line gives the mean step
     slope = np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0]
     return time[0] + slope * np.arange(len(time)), raw

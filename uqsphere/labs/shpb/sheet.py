@@ -22,6 +22,7 @@ FACES = {
     "B": "largest force at B, one wave",
     "mean": "mean of both, three waves",
 }
+_DRAWN = {"A": ("A, two waves", "#0072b2"), "B": ("B, one wave", "#d55e00")}
 
 
 def rows(test: Reading) -> list[tuple[str, str, str]]:
@@ -80,12 +81,12 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
 
     from uqsphere.report.figures import svg
 
-    forces = {"time [us]": test.time * 1e6}
-    for name, force, sd in (("A", test.force_a, test.sd_a), ("B", test.force_b, test.sd_b)):
-        if force is not None:
-            forces[f"{name} [kN]"] = force * 1e-3
-            forces[f"{name} low [kN]"] = (force - NORMAL * sd) * 1e-3
-            forces[f"{name} high [kN]"] = (force + NORMAL * sd) * 1e-3
+    forces = {"time [us]": test.forces["B"].time * 1e6}
+    for face, course in test.forces.items():
+        half = NORMAL * course.sd
+        forces[f"{face} [kN]"] = course.force * 1e-3
+        forces[f"{face} low [kN]"] = (course.force - half) * 1e-3
+        forces[f"{face} high [kN]"] = (course.force + half) * 1e-3
     pulse = {
         "time [us]": test.step * np.arange(len(test.pulse)) * 1e6,
         "strain [microstrain]": test.pulse * 1e6,
@@ -113,17 +114,13 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
 
 
 def _draw_forces(axes: Axes, test: Reading) -> None:
-    for name, force, sd, colour in (
-        ("A, two waves", test.force_a, test.sd_a, "#0072b2"),
-        ("B, one wave", test.force_b, test.sd_b, "#d55e00"),
-    ):
-        if force is None:
-            continue
-        thin = max(1, len(force) // 2000)
-        t = test.time[::thin] * 1e6
-        f = force[::thin] * 1e-3
-        s = sd[::thin] * 1e-3
-        axes.fill_between(t, f - NORMAL * s, f + NORMAL * s, color=colour, alpha=0.2, linewidth=0)
+    for face, course in test.forces.items():
+        part = course.part(slice(None, None, max(1, len(course.force) // 2000)))
+        name, colour = _DRAWN[face]
+        t = part.time * 1e6
+        f = part.force * 1e-3
+        half = NORMAL * part.sd * 1e-3
+        axes.fill_between(t, f - half, f + half, color=colour, alpha=0.2, linewidth=0)
         axes.plot(t, f, color=colour, linewidth=1.0, label=name)
     for peak in test.peaks.values():
         axes.axvline(peak.time * 1e6, color="#888888", linewidth=0.5, linestyle=":")

@@ -11,8 +11,6 @@ bar and compression positive:
 Source: G. T. Gray III, ASM Handbook 8, 2000.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,10 +19,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.signal import savgol_filter
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.arrivals import Arrivals, find_arrivals
-from uqsphere.labs.shpb.document import BarTable, RecordDocument
 from uqsphere.labs.shpb.doubts import (
     EQUILIBRIUM,
     Faces,
@@ -50,8 +47,7 @@ class Reading:
     """One test.
 
     step, touch : sampling interval, and time of first touch in the record [s].
-    time, force_a, force_b (n,) : [s], [N], with standard deviations `sd_a`, `sd_b`; `force_a` is
-        None where it is not known.
+    forces : by face, "A" and "B"; A only where it is known, NaN at samples at which it is not.
     pulse : incident wave at face A, compression positive, from rest to rest.
     peaks : by face, "A", "B" and "mean"; only faces that are known.
     energies : of the waves [J], by name; `absorbed` stays between the bars.
@@ -63,11 +59,7 @@ class Reading:
 
     step: float
     touch: float
-    time: Array
-    force_a: Array | None
-    force_b: Array
-    sd_a: Array
-    sd_b: Array
+    forces: dict[str, Force]
     pulse: Array
     peaks: dict[str, Peak]
     energies: dict[str, float] | None
@@ -102,41 +94,42 @@ class _Window(NamedTuple):
         return self.apart == slice(0, self.length)
 
 
-def read_test(record: Record, document: RecordDocument) -> Reading:
+def read_test(record: Record) -> Reading:
     """Forces, energies and equilibrium of a test.
 
     Raises UsageError for a pulse that cannot be one of these bars, for forces within the noise, and
         for a record that ends at first touch.
     """
-    bar = document.incident_bar
-    behind = document.receiving_bar
-    asked = document.record
-    step = record.step
+    asked = record.document.record
+    before = record.incident
     receiving = record.receiving
-    wave = record.incident.wave
+    bar = before.bar
+    behind = receiving.bar
+    step = before.step
+    wave = before.wave
     if wave.sign > 0.0:
         raise UsageError(
             "the first wave of the incident bar is tension, compression is required: check "
             "record.polarity"
         )
-    changes = Changes(record.changes)
-    arrivals = find_arrivals(record, document, changes)
-    window = _window(record, document, arrivals)
+    arrivals = find_arrivals(record)
+    window = _window(record, arrivals)
 
-    moved = changes if asked.dispersion else None
-    transmitted = _at_face(receiving, behind, window.to_b, window.length, step, moved)
-    gain_b = math.hypot(behind.gain_sd, _BENDING) if receiving.single else behind.gain_sd
+    transmitted = _at_face(receiving, window.to_b, window.length, asked.dispersion)
+    force = -behind.stiffness * transmitted
+    gain_b = behind.gain_sd
+    if receiving.single:
+        gain_b = math.hypot(gain_b, _BENDING)
     random = behind.stiffness**2 * (receiving.noise**2 + receiving.offset**2)
     face_b = Force(
         time=step * np.arange(window.length, dtype=float),
-        force=-behind.stiffness * transmitted,
-        sd=np.sqrt(random + (gain_b * (-behind.stiffness * transmitted)) ** 2),
+        force=force,
+        sd=np.sqrt(random + (gain_b * force) ** 2),
         noise=behind.stiffness * receiving.noise,
         memory=receiving.memory,
     )
     peaks = Peaks(B=largest_force(face_b))
-    independent = max(1.0, (receiving.wave.falling - receiving.wave.half) / receiving.memory)
-    noise = face_b.noise / math.sqrt(independent)
+    noise = face_b.scatter(receiving.wave.falling - receiving.wave.half)
     if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * noise:
         raise UsageError("no force at the receiving face rises above the noise of the record")
     peaks.doubt("B", arrivals.doubt_b)
@@ -144,100 +137,91 @@ def read_test(record: Record, document: RecordDocument) -> Reading:
         other = peaks["B"].value * arrivals.speed_ratio**2
         text = f"if E is wrong in place of a distance, the force is {other * 1e-3:.4g} kN"
         peaks.doubt("B", text, 0.98 * other, 1.02 * other)
-    force_a = None
-    sd_a = np.full(window.length, np.inf)
+    forces = {"B": face_b}
     energies = None
     mass = None
     if not window.withheld:
-        face_a, incident, reflected = _near_face(record, document, window, (peaks, changes), face_b)
+        face_a, incident, reflected = _near_face(record, window, peaks, face_b)
         force_a = np.full(window.length, np.nan)
-        sd_a = face_a.sd
         force_a[window.apart] = face_a.force[window.apart]
+        forces = {"A": face_a._replace(force=force_a), "B": face_b}
         peaks.doubt("A", arrivals.doubt_b)
         faces = Faces(
             time=face_b.time,
             force_a=force_a,
-            force_b=face_b.force,
+            force_b=force,
             velocity_a=bar.wave_speed * (reflected - incident),
             velocity_b=-behind.wave_speed * transmitted,
         )
-        zeros_sd = bar.stiffness * (record.incident.offset + record.reflected.offset)
+        zeros_sd = bar.stiffness * (before.offset + record.reflected.offset)
         zeros_sd += behind.stiffness * receiving.offset
-        heaviest = document.specimen.heaviest(min(bar.diameter, behind.diameter))
+        heaviest = record.document.specimen.heaviest(min(bar.diameter, behind.diameter))
         mass = check_impulse(peaks, faces, bar.gain_sd + gain_b, zeros_sd, heaviest)
         if window.whole:
-            energies = {}
-            for name, strain, carrier in (
-                ("incident", incident, bar),
-                ("reflected", reflected, bar),
-                ("transmitted", transmitted, behind),
-            ):
-                squares = np.square(strain).sum()
-                energies[name] = carrier.stiffness * carrier.wave_speed * step * squares
-            passed = energies["reflected"] + energies["transmitted"]
-            energies["absorbed"] = energies["incident"] - passed
+            carried = bar.stiffness * bar.wave_speed * step
+            offered, returned = carried * np.square([incident, reflected]).sum(axis=1)
+            carried = behind.stiffness * behind.wave_speed * step
+            passed = carried * np.square(transmitted).sum()
+            energies = {
+                "incident": offered,
+                "reflected": returned,
+                "transmitted": passed,
+                "absorbed": offered - (returned + passed),
+            }
         else:
-            begin, end = (at * step * 1e6 for at in (window.apart.start, window.apart.stop))
             text = (
                 "the incident wave is longer than its way to the face and back: A is known from "
-                f"{begin:.4g} to {end:.4g} us"
+                f"{window.apart.start * step * 1e6:.4g} to {window.apart.stop * step * 1e6:.4g} us"
             )
-            changes.add("overlap", record.incident.name, text)
-    check_striker(peaks, wave.peak, bar.wave_speed, asked.striker_speed, changes)
+            before.changes.add("overlap", text, signal=before.name)
+    check_striker(peaks, before, asked.striker_speed)
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
-    notes = check_specimen(peaks, pressed, document, mass)
-    _check_gauges(peaks, record, document, window, face_b.time)
-    balanced, rate = _balance(face_b.time, force_a, face_b.force, peaks["B"])
+    notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
+    _check_gauges(peaks, record, window, face_b.time)
+    balanced, rate = _balance(forces, peaks["B"])
     touch = record.start + step * window.start
     if not asked.aligned:
-        touch += bar.gauge / bar.wave_speed
+        touch += bar.passage
     return Reading(
         step=step,
         touch=touch,
-        time=face_b.time,
-        force_a=force_a,
-        force_b=face_b.force,
-        sd_a=sd_a,
-        sd_b=face_b.sd,
-        pulse=_pulse(record, bar, asked.dispersion),
+        forces=forces,
+        pulse=_pulse(before, asked.dispersion),
         peaks=dict(sorted(peaks.items())),
         energies=energies,
         balanced=balanced,
         loading_rate=rate,
         withheld=window.withheld,
         notes=notes,
-        changes=changes,
+        changes=before.changes,
     )
 
 
 # --- which samples are known ----------------------------------------------------------------------
 
 
-def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Window:
+def _window(record: Record, arrivals: Arrivals) -> _Window:
     """The samples of both faces; UsageError for too few of the transmitted wave."""
-    bar = document.incident_bar
-    behind = document.receiving_bar
     incident = record.incident
     receiving = record.receiving
-    step = record.step
     wave = incident.wave
+    aligned = record.document.record.aligned
     # first touch; a wave whose distance is wrong begins at its own foot
     to_a = wave.start + arrivals.reflected
     to_b = wave.start + arrivals.transmitted
     if arrivals.doubt_b:
         to_b = receiving.wave.foot - receiving.wave.lead
-    echoes = [bar.echo / step, behind.echo / step]
-    if document.record.aligned:
-        echoes = [math.inf, math.inf]
-    count = _known_samples(receiving, int(to_b), echoes[1])
+    count = _known_samples(receiving, int(to_b), aligned)
     if count < _FEWEST:
         raise UsageError(
             f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: the record "
             "ends too early, or an echo or a gap comes before"
         )
-    count_a = _known_samples(record.reflected, int(to_a), echoes[0])
+    count_a = _known_samples(record.reflected, int(to_a), aligned)
     # samples between both waves at a gauge that they share, and those in which they are apart
-    delay = 2.0 * bar.gauge / bar.wave_speed / step if record.shared else math.inf
+    delay = math.inf
+    if record.shared:
+        delay = 2.0 * incident.bar.passage / incident.step
     first = 0
     last = 1 << 60
     length = wave.end - wave.start
@@ -269,9 +253,11 @@ def _window(record: Record, document: RecordDocument, arrivals: Arrivals) -> _Wi
     )
 
 
-def _known_samples(signal: Signal, first: int, most: float) -> int:
-    """Samples from a place on, at most so many, until the record ends or one is not known."""
-    count = int(min(len(signal.strain) - 3 - first, most))
+def _known_samples(signal: Signal, first: int, aligned: bool) -> int:
+    """Samples from a place on until the record ends, an echo comes, or one is not known."""
+    count = len(signal.strain) - 3 - first
+    if not aligned:
+        count = int(min(count, signal.bar.echo / signal.step))
     begin = max(first, 0)
     lost = np.flatnonzero(~signal.known[begin : begin + max(count, 0)])
     return int(lost.min(initial=count))
@@ -280,18 +266,20 @@ def _known_samples(signal: Signal, first: int, most: float) -> int:
 # --- waves at the faces ---------------------------------------------------------------------------
 
 
-def moved_wave(wave: Array, distance: float, bar: BarTable, step: float) -> Array:
-    """A wave (n,) by itself, `distance` [m] further on, in the time of the one-dimensional wave.
+def _moved(wave: Array, gauge: Signal, direction: float) -> Array:
+    """A wave (n,) by itself, moved from its gauge to the face (1), or against its way (-1), in the
+    time of the one-dimensional wave.
 
     Phases of the first mode of Pochhammer and Chree (P. S. Follansbee, C. Frantz, J. Eng. Mater.
     Technol. 105 (1983) 61).  Amplitudes stay: the factors of the section amplify noise.
     """
-    room = max(8, math.ceil(2.0 * abs(distance) / bar.wave_speed / step))
+    bar = gauge.bar
+    room = max(8, math.ceil(2.0 * bar.passage / gauge.step))
     fading = wave[-1] * 0.5 * (1.0 + np.cos(np.linspace(0.0, math.pi, room)))
     moved = correct(
         np.concatenate([np.zeros(room), wave, fading, np.zeros(room)]),
-        step,
-        distance,
+        gauge.step,
+        direction * bar.gauge,
         radius=0.5 * bar.diameter,
         wave_speed=bar.wave_speed,
         nu=bar.nu,
@@ -304,30 +292,24 @@ def _samples(values: Array, first: float, count: int) -> Array:
     return map_coordinates(values, [first + np.arange(count)], order=3, mode="nearest")
 
 
-def _at_face(
-    signal: Signal, bar: BarTable, first: float, count: int, step: float, changes: Changes | None
-) -> Array:
-    """The wave of a gauge from first touch on; at the face where `changes` are given."""
-    if changes is None:
+def _at_face(signal: Signal, first: float, count: int, moves: bool) -> Array:
+    """The wave of a gauge behind the specimen from first touch on; `moves`: at the face."""
+    if not moves:
         return _samples(signal.strain, first, count)
-    more = count + math.ceil(bar.gauge / bar.wave_speed / step)
+    more = count + math.ceil(signal.bar.passage / signal.step)
     more = min(more, len(signal.strain) - 3 - int(first))
     wave = _samples(signal.strain, first, max(count, more))
-    moved = moved_wave(wave, -bar.gauge, bar, step)[:count]
+    moved = _moved(wave, signal, -1.0)[:count]
     wave = wave[:count]
     largest = np.abs(moved - wave).max()
     share = largest / max(np.abs(wave).max(), 1e-300)
     text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
-    changes.add("dispersion", signal.name, text, largest)
+    signal.changes.add("dispersion", text, largest, signal.name)
     return moved
 
 
 def _near_face(
-    record: Record,
-    document: RecordDocument,
-    window: _Window,
-    noted: tuple[Peaks, Changes],
-    face_b: Force,
+    record: Record, window: _Window, peaks: Peaks, face_b: Force
 ) -> tuple[Force, Array, Array]:
     """The force at A by two waves, incident and reflected wave (n,) there; adds the peaks of A and
     of the mean (in place).
@@ -335,39 +317,36 @@ def _near_face(
     Where waves were cut out, a reflected wave in its own column that has the sign of compression is
     the size of one: a specimen softer than the bar reflects tension.
     """
-    bar, asked, count, (peaks, changes) = (
-        document.incident_bar,
-        document.record,
-        window.length,
-        noted,
-    )
+    asked = record.document.record
+    count = window.length
     before = record.incident
     after = record.reflected
-    stiffness = bar.stiffness
-    incident = np.zeros(count)
+    bar = before.bar
     doubt = ""
+    alive = np.zeros(count)
+    alive[: window.alive] = 1.0
+    incident = np.zeros(count)
     incident[: window.alive] = before.strain[window.start : window.start + window.alive]
     # where the two waves overlap neither can be moved by itself
-    moved = changes if asked.dispersion and window.whole else None
-    if moved is not None:
-        incident = moved_wave(incident, bar.gauge, bar, record.step)
-    reflected = _at_face(after, bar, window.to_a, count, record.step, moved)
-    force = -stiffness * (incident + reflected)
+    moves = asked.dispersion and window.whole
+    if moves:
+        incident = _moved(incident, before, 1.0)
+    reflected = _at_face(after, window.to_a, count, moves)
     if asked.aligned and asked.polarity == "auto" and not record.shared:
         body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
         if reflected[body].mean() <= 0.0:
             text = "has the sign of the incident wave; it is taken as tension"
-            changes.add("sign", after.name, text)
+            after.changes.add("sign", text, signal=after.name)
+            force = -bar.stiffness * (incident + reflected)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
                 f"{force.max() * 1e-3:.4g} kN"
             )
             reflected = -reflected
-            force = -stiffness * (incident + reflected)
-    alive: Flags = np.arange(count) < window.alive
-    noise = after.noise**2 + np.where(alive, before.noise**2, 0.0)
-    offset = np.where(alive, before.offset + after.offset, after.offset)
-    both = stiffness**2 * (incident**2 + reflected**2)
+    force = -bar.stiffness * (incident + reflected)
+    noise = after.noise**2 + alive * before.noise**2
+    offset = after.offset + alive * before.offset
+    both = bar.stiffness**2 * (incident**2 + reflected**2)
     gain = bar.gain_sd**2 * both
     if record.shared:  # one gauge: its gain is common to both waves
         gain = (bar.gain_sd * force) ** 2
@@ -376,8 +355,8 @@ def _near_face(
     face_a = Force(
         time=face_b.time,
         force=force,
-        sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
-        noise=stiffness * math.hypot(before.noise, after.noise),
+        sd=np.sqrt(bar.stiffness**2 * (noise + offset**2) + gain),
+        noise=bar.stiffness * math.hypot(before.noise, after.noise),
         memory=before.memory,
     )
     mean = face_a._replace(
@@ -398,51 +377,51 @@ def _near_face(
 # --- checks, equilibrium, pulse -------------------------------------------------------------------
 
 
-def _check_gauges(
-    peaks: Peaks, record: Record, document: RecordDocument, window: _Window, time: Array
-) -> None:
+def _check_gauges(peaks: Peaks, record: Record, window: _Window, time: Array) -> None:
     """Compare the gauges of each bar; the mean takes the doubts of both faces (in place)."""
     count = window.length
-    stiffness = document.incident_bar.stiffness
-    spread = _samples(record.receiving.spread, window.to_b, count)
-    check_bending(peaks, "B", document.receiving_bar.stiffness * spread, time, peaks["B"].value)
+    incident = record.incident
+    receiving = record.receiving
+    spread = _samples(receiving.spread, window.to_b, count)
+    check_bending(peaks, "B", receiving.bar.stiffness * spread, time, peaks["B"].value)
     if window.withheld:
         peaks.doubt("B", "the force at A is not known: it does not check gauge and gain of B")
         return
-    both = np.maximum(
-        _samples(record.incident.spread, window.start, count),
+    spread = np.maximum(
+        _samples(incident.spread, window.start, count),
         _samples(record.reflected.spread, window.to_a, count),
     )
-    check_bending(peaks, "A", stiffness * both, time, stiffness * record.incident.wave.peak)
-    every = dict.fromkeys((*peaks["mean"].doubts, *peaks["A"].doubts, *peaks["B"].doubts))
-    peaks["mean"] = peaks["mean"]._replace(doubts=(*every,))
+    stiffness = incident.bar.stiffness
+    check_bending(peaks, "A", stiffness * spread, time, stiffness * incident.wave.peak)
+    for text in (*peaks["A"].doubts, *peaks["B"].doubts):
+        if text not in peaks["mean"].doubts:
+            peaks.doubt(["mean"], text)
 
 
-def _balance(
-    time: Array, force_a: Array | None, force_b: Array, peak: Peak
-) -> tuple[float | None, float]:
+def _balance(forces: dict[str, Force], peak: Peak) -> tuple[float | None, float]:
     """Share of the rise in which the forces agree within 5 % of their mean, and loading rate
     [N/s]."""
+    time = forces["B"].time
+    smooth_b = smooth(forces["B"].force, 5)
     top = max(int(np.searchsorted(time, peak.time)), 3)
-    smooth_b = smooth(force_b, 5)
     half = min(int(np.argmax(smooth_b > 0.5 * peak.value)), top - 2)
-    rate = 0.5 * peak.value / float(time[top] - time[half])
-    if force_a is None or np.isnan(force_a).any():
+    rate = 0.5 * peak.value / (time[top] - time[half])
+    if "A" not in forces or np.isnan(forces["A"].force).any():
         return None, rate
-    smooth_a = smooth(force_a, 5)
+    smooth_a = smooth(forces["A"].force, 5)
     mean = 0.5 * (smooth_a + smooth_b)
     even = np.abs(smooth_a - smooth_b) <= 2.0 * EQUILIBRIUM * np.abs(mean)
-    return float(even[half : top + 1].mean()), rate
+    return even[half : top + 1].mean(), rate
 
 
-def _pulse(record: Record, bar: BarTable, disperses: bool) -> Array:
-    """The incident wave at face A, compression positive, from rest to rest."""
-    wave = record.incident.wave
-    pulse: Array = -record.incident.strain[wave.start : wave.end + wave.lead]
+def _pulse(incident: Signal, moves: bool) -> Array:
+    """The incident wave, at face A if it `moves`, compression positive, from rest to rest."""
+    wave = incident.wave
+    pulse: Array = -incident.strain[wave.start : wave.end + wave.lead]
     # parabolas over half the rise follow the pulse and leave most of the noise
     if 8 <= wave.rising < len(pulse):
         pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2)
-    if disperses:
-        pulse = moved_wave(pulse, bar.gauge, bar, record.step)
+    if moves:
+        pulse = _moved(pulse, incident, 1.0)
     pulse[[0, -1]] = 0.0
     return pulse
