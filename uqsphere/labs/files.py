@@ -1,7 +1,5 @@
 """What both labs share: input files, units of keys, tables of the terminal, written files."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -49,9 +47,7 @@ def from_library(raw: Any, *kinds: str) -> Any:
     properties = materials[raw["material"]].properties
     units = {"E": "Pa", "density": "kg/m3", "nu": ""}
     completed = {
-        key: f"{properties[key].value!r} {unit}" if unit else properties[key].value
-        for key, unit in units.items()
-        if key in properties
+        key: f"{properties[key].value!r} {unit}" for key, unit in units.items() if key in properties
     }
     return {**completed, **raw}
 

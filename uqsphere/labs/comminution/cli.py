@@ -1,7 +1,5 @@
 """`uqsphere comminution fit | feed`."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -6,8 +6,6 @@ what a study compares with it.  A force, or an energy that is stored in the cont
 elastically.
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -4,8 +4,6 @@ Of n equal blows those particles break whose first fracture energy is at most u_
 uncertainty of the tests (the draws) and the scatter of a lot are separate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

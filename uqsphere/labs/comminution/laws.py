@@ -18,8 +18,6 @@ King, Powder Technol. 123 (2002) 138; R. P. King, MODSIM (BRPROB, TN, TN1); T. J
 others, Mineral Comminution Circuits, 1996.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Tests of single particles: between which energies the first fracture energy of every specimen
 lies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -35,16 +35,16 @@ class Arrivals(NamedTuple):
 
 
 class _Delay(NamedTuple):
-    """Predicted and recorded delay of a wave in samples; None for an arrival that is not seen."""
+    """Predicted and recorded delay of a wave in samples; NaN for an arrival that is not seen."""
 
     wave: str
     predicted: float
-    seen: int | None
+    seen: float
 
     @property
     def late(self) -> float:
-        """Samples by which the wave is later than predicted; 0 for a wave that is not seen."""
-        return 0.0 if self.seen is None else self.seen - self.predicted
+        """Samples by which the wave is later than predicted."""
+        return self.seen - self.predicted
 
 
 def find_arrivals(record: Record) -> Arrivals:
@@ -64,22 +64,22 @@ def find_arrivals(record: Record) -> Arrivals:
     predicted = (2.0 * bar.passage / step, (bar.passage + behind.passage) / step)
     back, there = _delays(record, predicted, *_SURE)
     steep = wave.rising
-    if there.seen is not None and there.seen < -steep:
+    if there.seen < -steep:
         raise UsageError(
             f"{receiving.name}: its wave comes {-there.seen * step * 1e6:.4g} us before the "
             "incident wave. Are the columns exchanged?"
         )
-    fits = 0.5 * (back.seen or 0) * step * bar.wave_speed
+    fits = 0.5 * back.seen * step * bar.wave_speed
     doubt_a = _doubt(back, (steep, 5.0), incident, fits)
     speed_ratio = 1.0
     if doubt_a:
         doubt_a += " (or another E or density)"
-        speed_ratio = back.predicted / max(back.seen or 0, 1)
+        speed_ratio = back.predicted / max(back.seen, 1.0)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
-    fits = ((there.seen or 0) * step - bar.passage) * behind.wave_speed
+    fits = (there.seen * step - bar.passage) * behind.wave_speed
     doubt_b = _doubt(there, (steep, soft), receiving, fits)
     if doubt_b:
-        other = there.predicted / max(there.seen or 0, 1)
+        other = there.predicted / max(there.seen, 1.0)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
             raise UsageError(
                 f"both arrivals fit a wave speed of {speed_ratio * bar.wave_speed:.4g} m/s, not "
@@ -92,9 +92,8 @@ def find_arrivals(record: Record) -> Arrivals:
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
         return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
     arrivals = list[float]()
-    for signal, delay in zip(
-        (record.reflected, receiving), _delays(record, predicted, *_FINE), strict=True
-    ):
+    delays = _delays(record, predicted, *_FINE)
+    for signal, delay in zip((record.reflected, receiving), delays, strict=True):
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
             shift = delay.late
@@ -120,7 +119,7 @@ def _delays(
 
     incident = record.incident
     receiving = record.receiving
-    wave = record.incident.wave
+    wave = incident.wave
     pressing = -smooth(incident.strain, width)
     high = level(incident)
     first = _crossing(pressing, high, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
@@ -131,19 +130,19 @@ def _delays(
         low = np.flatnonzero(pressing[wave.falling :] < high)
         begin = wave.falling + low.min(initial=len(size)) + 1
     there = -smooth(receiving.strain, width)
-    arrivals = (
-        _crossing(size, high, begin, len(size)),
-        _crossing(there, level(receiving), 0, receiving.wave.falling + 1),
+    reflected = _crossing(size, high, begin, len(size))
+    transmitted = _crossing(there, level(receiving), 0, receiving.wave.falling + 1)
+    return (
+        _Delay("reflected", predicted[0], reflected - first),
+        _Delay("transmitted", predicted[1], transmitted - first),
     )
-    seen = [None if first is None or at is None else at - first for at in arrivals]
-    return _Delay("reflected", predicted[0], seen[0]), _Delay("transmitted", predicted[1], seen[1])
 
 
-def _crossing(values: Array, level: float, begin: int, end: int) -> int | None:
-    """First place in [begin, end) from which three values are above a level."""
+def _crossing(values: Array, level: float, begin: int, end: int) -> float:
+    """First place in [begin, end) from which three values are above a level, NaN without one."""
     above = values[begin:end] > level
     first = np.flatnonzero(above[:-2] & above[1:-1] & above[2:])
-    return begin + first[0] if len(first) else None
+    return begin + first[0] if len(first) else math.nan
 
 
 def _doubt(delay: _Delay, spare: tuple[float, float], gauge: Signal, fits: float) -> str:
@@ -153,7 +152,7 @@ def _doubt(delay: _Delay, spare: tuple[float, float], gauge: Signal, fits: float
     """
     steep, late = spare
     early = -(_EARLY * delay.predicted + 0.5 * steep + 3.0)
-    if early <= delay.late <= late + _LATE * delay.predicted + 2.0 * steep:
+    if not (delay.late < early or delay.late > late + _LATE * delay.predicted + 2.0 * steep):
         return ""
     side = "early" if delay.late < 0.0 else "late"
     would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"

@@ -1,7 +1,5 @@
 """`uqsphere shpb records | fit-contact | plan`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

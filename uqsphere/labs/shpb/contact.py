@@ -5,8 +5,6 @@ follows the law of a face that yields (theory, C5 to C8).  E*, p_y, H, C and the
 first touch follow by least squares of the displacement.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -31,8 +29,12 @@ _LEAST, _MOST = 30, 1500
 _QUIET, _UNLOADED = 0.01, 0.5
 #: shares of the largest force at which the search for the onset begins
 _BEGINNINGS = (0.03, 0.15, 0.5)
-#: bounds of H/p_y and of the pile-up
-_RATIO, _PILE_UP = (1.2, 50.0), (1.0, 3.0)
+#: bounds of the pile-up
+_PILE_UP = (1.0, 3.0)
+#: bounds of what is fitted: of ln E* and ln p_y about their beginnings, of ln H/p_y, of the
+#: displacement of first touch over the range of displacements, and of the pile-up
+_LOWEST = np.array([-3.0, -5.0, math.log(1.2), -3.0, _PILE_UP[0]])
+_HIGHEST = np.array([3.0, 5.0, math.log(50.0), 3.0, _PILE_UP[1]])
 #: ratio of the ends of an interval beyond which a number is not determined
 _OPEN = 30.0
 
@@ -73,8 +75,8 @@ class Fitted:
 
     def in_gpa(self) -> tuple[str, str]:
         """A pressure and its interval as texts."""
-        value, low, high = (1e-9 * end for end in (self.value, self.low, self.high))
-        return f"{value:.4g} GPa", f"{low:.4g} to {high:.4g} GPa"
+        ends = f"{self.low * 1e-9:.4g} to {self.high * 1e-9:.4g} GPa"
+        return f"{self.value * 1e-9:.4g} GPa", ends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +95,7 @@ class ContactFit:
     depth: float
     misfit: float
     samples: int
-    notes: tuple[str, ...]
+    notes: list[str]
 
     def lines(self) -> str:
         """The lines of a study."""
@@ -101,9 +103,9 @@ class ContactFit:
         for name in ("onset_pressure", "hardness"):
             value, ends = getattr(self, name).in_gpa()
             lines.append(f'{name} = "{value}"    # {ends}')
-        ends = f"{self.pile_up.low:.3g} to {self.pile_up.high:.3g}"
-        lines.append(f"pile_up = {self.pile_up.value:.4g}    # {ends}")
-        return "\n".join([*lines, ""])
+        pile_up = self.pile_up
+        ends = f"{pile_up.low:.3g} to {pile_up.high:.3g}"
+        return "\n".join([*lines, f"pile_up = {pile_up.value:.4g}    # {ends}", ""])
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
@@ -180,15 +182,10 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
     return Loading(displacement[kept], force[kept], largest[kept], table.notes)
 
 
-def face_law(radius: float, modulus: float, onset: float, hardness: float, pile_up: float) -> Face:
-    """The law of a face of a sphere: radius [m]; E*, onset and hardness [Pa]; pile-up."""
-    return Face(
-        onset=np.full(1, onset),
-        hardness=np.full(1, hardness),
-        pile_up=np.full(1, pile_up),
-        modulus=np.full(1, modulus),
-        effective_radius=np.full(1, radius),
-    )
+def face_law(radius: float, **law: float) -> Face:
+    """The law of a face of a sphere: radius [m]; modulus E*, onset, hardness [Pa]; pile_up."""
+    numbers = {name: np.full(1, value) for name, value in law.items()}
+    return Face(effective_radius=np.full(1, radius), **numbers)
 
 
 def face_approach(force: Array, largest: Array, face: Face) -> Array:
@@ -211,17 +208,20 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     highest = force.max()
     radius = 0.5 * asked.diameter
 
-    def numbers(x: Array) -> tuple[float, float, float, float]:
-        """E*, onset, hardness and pile-up of logarithms of E*, onset and H/p_y, of the touch, and
-        of the pile-up if it is free."""
-        modulus, onset, ratio = (math.exp(value) for value in x[:3])
-        pile_up = x[4] if asked.pile_up is None else asked.pile_up
-        return modulus, onset, onset * ratio, pile_up
+    def law_of(x: Array) -> Face:
+        """The law of logarithms of E*, onset and H/p_y, of the touch, and of the pile-up if it is
+        free."""
+        modulus, onset, ratio = map(math.exp, x[:3])
+        pile_up = asked.pile_up or x[4]
+        return face_law(
+            radius, modulus=modulus, onset=onset, hardness=onset * ratio, pile_up=pile_up
+        )
 
     def residual(x: Array) -> Array:
-        approach = face_approach(force, largest, face_law(radius, *numbers(x)))
+        approach = face_approach(force, largest, law_of(x))
         return np.asarray((displacement - 2.0 * approach) / scale - x[3])
 
+    free = slice(5 if asked.pile_up is None else 4)
     fits = []
     for share in _BEGINNINGS:
         early = (force <= max(0.15, share) * highest) & (force >= largest)
@@ -234,65 +234,61 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
             touch = displacement.min()
         modulus = (2.0 / slope) ** 1.5 / hertz_constant(1.0, radius)
         onset = pressure_at_force(share * highest, modulus, radius)
-        start = np.log([modulus, onset])
-        reach = np.array([3.0, 5.0])
-        ratio = np.log(_RATIO)
-        low = [*(start - reach), ratio[0], -3.0, _PILE_UP[0]]
-        high = [*(start + reach), ratio[1], 3.0, _PILE_UP[1]]
-        begin = np.clip([*start, math.log(2.0), touch / scale, 2.0], low, high)
-        free = slice(5 if asked.pile_up is None else 4)
+        centre = np.array([math.log(modulus), math.log(onset), 0.0, 0.0, 0.0])
+        low = centre + _LOWEST
+        high = centre + _HIGHEST
+        begin = np.clip([*centre[:2], math.log(2.0), touch / scale, 2.0], low, high)
         bounds = (low[free], high[free])
         fits.append(least_squares(residual, begin[free], bounds=bounds, x_scale="jac", xtol=1e-10))
     best = min(fits, key=lambda fitted: fitted.cost)
-    left, (modulus, onset, hardness, pile_up) = best.fun, numbers(best.x)
-    onset_approach = radius * (0.5 * math.pi * onset / modulus) ** 2
+    left = best.fun
+    law = law_of(best.x)
     top = np.full(1, highest)
-    law = face_law(radius, modulus, onset, hardness, pile_up)
-    depth = face_approach(top, top, law)[0] / onset_approach
+    depth = (face_approach(top, top, law) / law.onset_approach)[0]
     # correlated residuals count for fewer
-    correlation = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    squares = float(left @ left)
+    correlation = float(left[1:] @ left[:-1]) / max(squares, 1e-300)
     if correlation <= 2.0 / math.sqrt(len(left)):
         correlation = 0.0
     spare = len(left) - len(best.x)
     jacobian = np.asarray(best.jac)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(left @ left) / spare
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * squares / spare
     covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
 
-    def reach_of(*weights: float) -> float:
-        """Half the 95 % interval of a sum of the first parameters."""
-        part = covariance[: len(weights), : len(weights)]
-        variance = float(np.array(weights) @ part @ weights)
+    def reach_of(first: int, behind: int) -> float:
+        """Half the 95 % interval of the sum of some parameters; 0 for none."""
+        variance = covariance[first:behind, first:behind].sum()
         return float(stdtrit(spare, 0.975)) * math.sqrt(max(variance, 0.0))
 
-    def interval(value: float, *weights: float) -> Fitted:
-        factor = math.exp(reach_of(*weights))
+    def interval(value: float, first: int, behind: int) -> Fitted:
+        factor = math.exp(reach_of(first, behind))
         return Fitted(value, value / factor, value * factor)
 
-    fitted_modulus = interval(modulus, 1.0)
-    fitted_onset = interval(onset, 0.0, 1.0)
-    fitted_hardness = interval(hardness, 0.0, 1.0, 1.0)
+    modulus = interval(law.modulus[0], 0, 1)
+    onset = interval(law.onset[0], 1, 2)
+    hardness = interval(law.hardness[0], 1, 3)
     misfit = np.sqrt(np.mean(np.square(left)))
-    undetermined = fitted_onset.high > _OPEN * fitted_onset.low
+    undetermined = onset.high > _OPEN * onset.low
     if undetermined and misfit > 0.01:
         raise UsageError(
             "no contact law fits this record. Check the force for an offset, steps or clipping"
         )
     if undetermined or depth < 1.5:
-        reached = pressure_at_force(highest, modulus, radius)
+        reached = pressure_at_force(highest, modulus.value, radius)
         raise UsageError(
             f"the record is hardly beyond Hertz (pressure up to {reached / 1e9:.3g} GPa): press "
             "harder"
         )
     notes = [*loading.notes]
-    if fitted_hardness.high > _OPEN * fitted_hardness.low:
+    if hardness.high > _OPEN * hardness.low:
         notes.append("the record does not determine the hardness: press harder")
     if correlation > 0.0:
         notes.append(
             f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
             "the intervals are widened"
         )
-    half = reach_of(0.0, 0.0, 0.0, 0.0, 1.0) if asked.pile_up is None else 0.0
-    ends = (max(pile_up - half, _PILE_UP[0]), min(pile_up + half, _PILE_UP[1]))
+    pile_up = law.pile_up[0]
+    half = reach_of(4, 5)
     # E of the sphere: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p
     soft = 0.0
     sphere_modulus = None
@@ -304,21 +300,21 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
             )
         plate = {key: entry.value for key, entry in materials[asked.platens].properties.items()}
         soft = (1.0 - plate["nu"] ** 2) / plate["E"]
-        if fitted_onset.high > 1.2 * plate.get("yield_strength", math.inf):
+        if onset.high > 1.2 * plate.get("yield_strength", math.inf):
             notes.append(
                 "the platens yield near this onset too: the fitted law may be that of the platens"
             )
-    rest = [1.0 / end - soft for end in astuple(fitted_modulus)]
+    rest = [1.0 / end - soft for end in astuple(modulus)]
     if min(rest) > 0.0:
         sphere_modulus = Fitted(*((1.0 - asked.nu**2) / compliance for compliance in rest))
     return ContactFit(
-        onset_pressure=fitted_onset,
-        hardness=fitted_hardness,
-        modulus=fitted_modulus,
-        pile_up=Fitted(pile_up, *ends),
+        onset_pressure=onset,
+        hardness=hardness,
+        modulus=modulus,
+        pile_up=Fitted(pile_up, *np.clip([pile_up - half, pile_up + half], *_PILE_UP)),
         sphere_modulus=sphere_modulus,
         depth=depth,
         misfit=scale * misfit,
         samples=len(left),
-        notes=tuple(notes),
+        notes=notes,
     )

@@ -73,16 +73,17 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
-    limits = tuple(limit for limit in study.limits if limit.fracture is not False)
-    if asked.limits:
-        limits = tuple(limit for limit in limits if limit.name in asked.limits)
+    names = asked.limits or [limit.name for limit in study.limits]
+    limits = tuple(
+        limit for limit in study.limits if limit.name in names and limit.fracture is not False
+    )
     if not limits:
         raise UsageError(
             "no limit of the study means fracture: a plan needs a strength, [limits.NAME]"
         )
     free, low, high = _range(asked, study)
-    quantities = (*dict.fromkeys(["P_max", *(limit.quantity for limit in limits)]),)
-    counted = {"quantities": quantities, "failure_modes": "given"}
+    quantities = ("P_max", *(limit.quantity for limit in limits))
+    counted = {"quantities": (*dict.fromkeys(quantities),), "failure_modes": "given"}
     planned = replace(
         study,
         limits=limits,
@@ -90,10 +91,11 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
         analysis=study.analysis.model_copy(update=counted),
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
-    shares = dict[str, Any]()
+    shares = {}
     reached = dict[str, list[dict[str, Any]]]()
     for name, curve in curves.limits.items():
-        shares[name], reached[name] = np.array(curve.curve)[:, 1:].tolist(), []
+        shares[name] = np.array(curve.curve)[:, 1:].tolist()
+        reached[name] = []
         for share, at in curve.values.items():
             value = None if at.value is None else (at.value, at.low, at.high)
             reached[name].append({"share": share, "value": value})
@@ -120,25 +122,27 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
 
 def plan_text(plan: dict[str, Any]) -> str:
     """Tables for the terminal."""
-    free, unit, factor = plan["free"], *display_unit(plan["free"])
-    rows = [(free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"]))]
+    free = plan["free"]
+    unit, factor = display_unit(free)
+    rows = [[free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"])]]
     for k in range(0, len(plan["values"]), max(1, len(plan["values"]) // 13)):
-        low, middle, high = (force * 1e-3 for force in plan["force"][k])
-        row = [format_value(plan["values"][k], free), f"{middle:.4g} kN ({low:.4g} to {high:.4g})"]
+        low, middle, high = plan["force"][k]
+        force = f"{middle * 1e-3:.4g} kN ({low * 1e-3:.4g} to {high * 1e-3:.4g})"
+        row = [format_value(plan["values"][k], free), force]
         for shares in plan["shares"].values():
             share, least, most = map(format_probability, shares[k])
             row.append(f"{share} ({least} to {most})")
-        rows.append((*row,))
-    wanted = [("share broken", *plan["reached"])]
+        rows.append(row)
+    wanted = [["share broken", *plan["reached"]]]
     for cells in zip(*plan["reached"].values(), strict=True):
         row = [format_probability(cells[0]["share"])]
         for cell in cells:
             text = "outside the range"
             if cell["value"] is not None:
-                value, low, high = (factor * end for end in cell["value"])
-                text = f"{value:.4g} {unit} ({low:.4g} to {high:.4g})"
+                value, low, high = cell["value"]
+                text = f"{factor * value:.4g} {unit} ({factor * low:.4g} to {factor * high:.4g})"
             row.append(text)
-        wanted.append((*row,))
+        wanted.append(row)
     notes = [f"note: {note}" for note in plan["notes"]]
     heading = f"{free} at which a share breaks"
     return "\n\n".join([plan["title"], table(rows), heading, table(wanted), *notes])
@@ -146,13 +150,12 @@ def plan_text(plan: dict[str, Any]) -> str:
 
 def plan_csv(plan: dict[str, Any]) -> str:
     """One row a value."""
-    columns = {f"{plan['free']} [{plan['unit']}]": plan["values"]}
-    for k, percent in enumerate((5, 50, 95)):
-        columns[f"P_max {percent} % [N]"] = [force[k] for force in plan["force"]]
-    for name, shares in plan["shares"].items():
-        for k, end in enumerate(("", " low", " high")):
-            columns[f"{name}{end} [1]"] = [share[k] for share in shares]
-    return csv_text({**columns, "failed [1]": plan["failed"]})
+    head = [f"{plan['free']} [{plan['unit']}]"]
+    head += [f"P_max {percent} % [N]" for percent in (5, 50, 95)]
+    for name in plan["shares"]:
+        head += [f"{name} [1]", f"{name} low [1]", f"{name} high [1]"]
+    columns = [plan["values"], plan["force"], *plan["shares"].values(), plan["failed"]]
+    return csv_text(np.column_stack(columns), [*head, "failed [1]"])
 
 
 def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:

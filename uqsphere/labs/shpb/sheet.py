@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,11 +29,13 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
     """Name, value, and interval or remark of every number; doubts stand below their number."""
     lines = []
     for face, peak in test.peaks.items():
-        high = f"{peak.high * 1e-3:.4g}" if math.isfinite(peak.high) else "not known"
+        high = "not known"
+        if math.isfinite(peak.high):
+            high = f"{peak.high * 1e-3:.4g}"
         value = f"{peak.value * 1e-3:.4g} kN"
-        ends = f"{peak.low * 1e-3:.4g} to {high} kN"
         if peak.doubts:
             value = f"DOUBTED {value}"
+        ends = f"{peak.low * 1e-3:.4g} to {high} kN"
         lines.append((f"{FACES[face]}, at {peak.time * 1e6:.4g} us", value, ends))
         lines += [("", "doubt", doubt) for doubt in peak.doubts]
     lines += [("not given", "", reason) for reason in test.withheld]
@@ -98,7 +100,7 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
             if isinstance(value, float):
                 values[key] = f"{value:.5g}"
         bars[name] = ", ".join(f"{key} {value}" for key, value in values.items() if value != "")
-    template = files("uqsphere.labs.shpb").joinpath("sheet.html").read_text(encoding="utf-8")
+    template = Path(__file__).with_name("sheet.html").read_text("utf-8")
     page = Environment(autoescape=True).from_string(template)
     sheet = page.render(
         title=asked.title or asked.record.file,
