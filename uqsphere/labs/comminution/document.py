@@ -105,9 +105,14 @@ class TestsTable(Section):
     prior: dict[str, Lognormal] = Field(default_factory=dict)
     synthetic: bool = False
 
+    @property
+    def measured(self) -> str:
+        """The key that names a column of energies; ValueError for none or several."""
+        return _one_of(self, "specific_energy", "energy", "speed", "force")
+
     @model_validator(mode="after")
     def _one_of_each(self) -> TestsTable:
-        measured = _one_of(self, "specific_energy", "energy", "speed", "force")
+        measured = self.measured
         if not (self.diameter or (self.mesh_lower and self.mesh_upper)):
             raise ValueError("diameter, or mesh_lower and mesh_upper, is required")
         if not (self.outcome or self.broken):

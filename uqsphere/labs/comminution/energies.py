@@ -46,9 +46,7 @@ def particle_energies(
         mass = laws.mass_of(diameter, material.density)
     else:
         raise UsageError("material.density is required, or a column tests.mass")
-    # a column is named as what it measures
-    measured = ("force", "specific_energy", "energy", "speed")
-    name = next(name for name in measured if getattr(want, name))
+    name = want.measured
     energy = table.numbers(getattr(want, name), name, want.unit or None, key="energy")
     meaning = {"force": "contact", "speed": "input"}.get(name, want.energy_is)
     if name == "energy":

@@ -187,15 +187,12 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     sizes = classes.sizes
     mass = classes.mass
     edges = classes.edges
-    # energy of one blow per mass [J/kg], offered and absorbed by a particle
+    # energy of one blow per mass [J/kg], given in one of three ways; share that a particle absorbs
     each: Array = laws.mass_of(sizes, density)
     offered = (feed.energy or 0.0) / each
+    offered += (feed.specific_energy or 0.0) + 0.5 * (feed.speed or 0.0) ** 2
     share = np.ones(len(sizes))
     notes = list[str]()
-    if feed.specific_energy is not None:
-        offered = np.full(len(sizes), feed.specific_energy)
-    if feed.speed is not None:
-        offered = np.full(len(sizes), 0.5 * feed.speed**2)
     if feed.impact_surface is not None:
         share, notes = offered_shares(asked, feed.impact_surface, False, offered, sizes)
     taken = offered * share
@@ -247,8 +244,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         log_sieves = np.log(sieves)
         rows = [*passing, before]
         p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
-        p50 = np.exp([np.interp(0.5, row, log_sieves) for row in rows])
-        numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50[:-1], "F80/P80": p80[-1] / p80[:-1]}
+        p50 = np.exp([np.interp(0.5, row, log_sieves) for row in passing])
+        numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50, "F80/P80": p80[-1] / p80[:-1]}
         if feed.fines is not None:
             size = math.log(feed.fines)
             numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in passing])

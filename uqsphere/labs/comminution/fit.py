@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
@@ -65,7 +65,7 @@ class EnergyModel:
             phi = p["phi"]
             return laws.median_energy(self.size, diameter, p[lead], phi, p.get("d0", math.nan))
         away = np.abs(np.log(diameter[..., None] / np.array(self.classes)))
-        each = [np.atleast_1d(p[f"e50_{k + 1}"]) for k in range(len(self.classes))]
+        each = [p[f"e50_{k + 1}"] for k in range(len(self.classes))]
         return np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)]
 
 
@@ -171,27 +171,26 @@ def log_likelihoods(
     """
     exact = tests.exact & tests.broke
     names = [*model.priors]
-    fitted = gamma is None and bool(tests.repeated.any())
+    fitted = "gamma" in names
     nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
-    every = [*tests.bounds(nodes)]
+    every = np.stack(tests.bounds(nodes))
     with np.errstate(divide="ignore"):
-        logs = [np.log(bound) for bound in every]
+        logs = np.log(every)
 
-    def bounds(x: Array) -> list[Array]:
-        """Ends of the first fracture energies, interpolated in ln gamma; 0 and inf stay."""
+    def bounds(x: Array) -> Values:
+        """Both ends (2, ..., s) of the first fracture energies, interpolated in ln gamma; 0 and inf
+        stay."""
         if not fitted:
-            return [bound[0] for bound in every]
+            return every[:, 0]
         step = _GAMMAS[1] - _GAMMAS[0]
         place = (x[..., names.index("gamma")] - _GAMMAS[0]) / step
         place = np.clip(place, 0.0, len(_GAMMAS) - 1.001)
         node = place.astype(int)
         part = (place - node)[..., None]
-        ends = []
-        for log in logs:
-            with np.errstate(invalid="ignore"):
-                inner = np.exp(log[node] + part * (log[node + 1] - log[node]))
-            ends.append(np.where(np.isfinite(log[node]), inner, np.exp(log[node])))
-        return ends
+        ends = logs[:, node]
+        with np.errstate(invalid="ignore"):
+            inner = ends + part * (logs[:, node + 1] - ends)
+        return np.exp(np.where(np.isfinite(ends), inner, ends))
 
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
@@ -246,9 +245,8 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
 
 def sample(
     model: EnergyModel, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
-) -> tuple[Array, Callable[[Array], Array], float, float]:
-    """Draws (n, d) of the posterior, its log likelihood of specimens and their sum at its mode, and
-    the effective number of draws."""
+) -> tuple[Array, dict[str, Any]]:
+    """Draws (n, d) of the posterior, and how well the law fits and the draws converged."""
     from scipy.optimize import minimize
 
     each = log_likelihoods(model, tests, gamma)
@@ -274,11 +272,10 @@ def sample(
     best = minimize(loss, near, method="BFGS")
     middle = best.x
     covariance = np.asarray(best.hess_inv)
-    d = len(best.x)
+    d = len(middle)
     n = 1 << 12
     points = np.empty((0, d))
     logs = np.empty(0)
-    effective = 0.0
     for turn in range(_ADAPTING + _MOST):
         root = np.linalg.cholesky(covariance + 1e-12 * np.eye(d))
         z = rng.standard_normal((n, d)) * np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, (n, 1)))
@@ -286,20 +283,27 @@ def sample(
         density = -0.5 * (_FREEDOM + d) * np.log1p(np.square(z).sum(axis=1) / _FREEDOM)
         log = value(x) - density + np.log(np.diag(root)).sum()
         if turn < _ADAPTING:
-            weight = np.exp(log - log.max())
-            weight = np.minimum(weight, math.sqrt(n) * weight.mean())
+            weight = np.minimum(special.softmax(log), n**-0.5)
             middle = np.average(x, axis=0, weights=weight)
             covariance = np.atleast_2d(np.cov(x.T, aweights=weight))
             continue
         points = np.concatenate([points, x])
         logs = np.concatenate([logs, log])
-        weight = np.exp(logs - logs.max())
-        effective = float(weight.sum() ** 2 / np.square(weight).sum())
+        weight = special.softmax(logs)
+        effective = 1.0 / np.square(weight).sum()
         if effective > max(draws, EFFECTIVE):
             break
-    even = (np.arange(draws) + rng.random()) / draws * weight.sum()
+    even = (np.arange(draws) + rng.random()) / draws
     taken = np.minimum(np.searchsorted(np.cumsum(weight), even), len(points) - 1)
-    return points[rng.permutation(taken)], each, each(best.x).sum(), effective
+    chain = points[rng.permutation(taken)]
+    # leave-one-out by importance: 1/mean(1/p) of every specimen
+    inverse = np.exp(np.minimum(-each(chain) / tests.weight, 600.0))
+    return chain, {
+        "log_likelihood": each(best.x).sum(),
+        "loo": -np.log(np.mean(inverse, axis=0)) @ tests.weight,
+        "effective": effective,
+        "settled": bool(effective > EFFECTIVE),
+    }
 
 
 # --- the fit --------------------------------------------------------------------------------------
@@ -344,21 +348,11 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     about = dict[str, dict[str, Any]]()
     for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
-        draws, each, log_likelihood, effective = sample(model, tests, gamma, rng, asked.draws)
-        chains.append(draws)
-        # leave-one-out by importance: 1/mean(1/p) of every specimen
-        inverse = np.exp(np.minimum(-each(draws) / tests.weight, 600.0))
-        about[model.law] = {
-            "log_likelihood": log_likelihood,
-            "loo": -np.log(np.mean(inverse, axis=0)) @ tests.weight,
-            "effective": effective,
-            "settled": effective > EFFECTIVE,
-        }
-    scores = np.array([done["loo"] for done in about.values()])
-    weights = np.exp(scores - scores.max())
-    weights /= weights.sum()
-    for done, weight in zip(about.values(), weights.tolist(), strict=True):
-        done["weight"] = weight
+        chain, about[model.law] = sample(model, tests, gamma, rng, asked.draws)
+        chains.append(chain)
+    weights = special.softmax([law["loo"] for law in about.values()])
+    for law, weight in zip(about.values(), weights.tolist(), strict=True):
+        law["weight"] = weight
     # the draws of all laws by their weights, in random order
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
     law_of = np.repeat(np.arange(len(models)), np.diff(ends, prepend=0))
@@ -391,8 +385,8 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
 
 def quantiles(values: Array) -> dict[str, float]:
     """Median and 95 % interval of draws."""
-    ends = np.quantile(values[np.isfinite(values)], [0.5, 0.025, 0.975])
-    return dict(zip(("value", "low", "high"), ends.tolist(), strict=True))
+    value, low, high = np.quantile(values[np.isfinite(values)], [0.5, 0.025, 0.975])
+    return {"value": value, "low": low, "high": high}
 
 
 def _described(
@@ -459,7 +453,7 @@ def _described(
             "broke": int(tests.weight[tests.broke].sum()),
             "exact": int(tests.weight[tests.exact & tests.broke].sum()),
             "repeated": int(tests.repeated.sum()),
-            "diameters": list(posterior.tested),
+            "diameters": posterior.tested,
         },
         "laws": about,
         "parameters": parameters,

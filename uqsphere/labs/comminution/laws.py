@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, special
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
 #: parameters of a size law, the energy first, by its name
@@ -55,9 +55,7 @@ def broken_share(
     """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus
     m."""
     if law == "lognormal":
-        from scipy.special import ndtr
-
-        return ndtr(standard(energy, median, shape, ratio))
+        return special.ndtr(standard(energy, median, shape, ratio))
     return -np.expm1(-hazard(energy, median, shape))
 
 
@@ -66,9 +64,7 @@ def energy_at(
 ) -> Values:
     """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
     if law == "lognormal":
-        from scipy.special import ndtri
-
-        stretched = median * np.exp(shape * ndtri(share))
+        stretched = median * np.exp(shape * special.ndtri(share))
         return stretched / (1.0 + stretched / (ratio * median))
     hazards = -np.log1p(-share) / math.log(2.0)
     return median * hazards ** (1.0 / (0.6 * shape))
@@ -76,12 +72,12 @@ def energy_at(
 
 def log_density(
     law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
-) -> Array:
+) -> Values:
     """ln f(e) at the upper one of two ends [J/kg]."""
     energy = ends[1]
     if law == "weibull":
         exponent = hazard(energy, median, shape)
-        return np.asarray(np.log(0.6 * shape * exponent / energy) - exponent)
+        return np.log(0.6 * shape * exponent / energy) - exponent
     z = standard(energy, median, shape, ratio)
     top = ratio * median
     density = -0.5 * z * z - np.log(shape * math.sqrt(2.0 * math.pi) * energy)
@@ -92,8 +88,6 @@ def log_between(
     law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
 ) -> Array:
     """ln(P(high) - P(low)) of two ends [J/kg]."""
-    from scipy.special import log_ndtr
-
     if law == "weibull":
         low, high = (hazard(end, median, shape) for end in ends)
         larger = -low
@@ -102,8 +96,8 @@ def log_between(
         low, high = (standard(end, median, shape, ratio) for end in ends)
         # the normal distribution is even: both ends in the lower tail
         upper = low + high > 0.0
-        larger = log_ndtr(np.where(upper, -low, high))
-        gap = larger - log_ndtr(np.where(upper, -high, low))
+        larger = special.log_ndtr(np.where(upper, -low, high))
+        gap = larger - special.log_ndtr(np.where(upper, -high, low))
     h = np.maximum(gap, 0.0)  # and ln(1 - exp(-h))
     rest = np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
     return np.where(np.isneginf(larger), -np.inf, larger + rest)
@@ -220,11 +214,9 @@ def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) ->
         if curve == "trr":
             finer = -np.expm1((9.0 / (x - 1.0)) ** alpha * np.log1p(-fine))
         else:
-            from scipy.special import betainc
-
             a = -0.7846 * np.exp(-0.4988 * x)
             a += 0.9190 * x**0.04526 / (0.000972 * x**2 + 1.0) ** 0.03797
             b = 1.193 / (x - 1.0) ** 1.392
             b += 2.722 * x**-0.3404 / (0.01175 * x**2 + 1.0) ** 0.3381
-            finer = betainc(a, np.minimum(b, 1e6), fine)
+            finer = special.betainc(a, np.minimum(b, 1e6), fine)
     return np.where(n > 1.0, finer, 1.0)

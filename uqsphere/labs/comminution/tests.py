@@ -2,11 +2,12 @@
 lies."""
 
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Values
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
@@ -44,18 +45,18 @@ class Specimens:
     @property
     def last(self) -> Array:
         """(s,) energy of the last blow [J/kg]."""
-        return np.asarray((self.blows * self._is_last).sum(axis=1))
+        return self.blows[self._is_last]
 
     @property
-    def _is_last(self) -> Flags:
+    def _is_last(self) -> Values:
         """(s, K) whether a blow is the last one of its specimen."""
-        number = (self.blows > 0).sum(axis=1, keepdims=True)
-        return np.asarray(np.arange(self.blows.shape[1]) == np.maximum(number - 1, 0))
+        number = np.count_nonzero(self.blows, axis=1, keepdims=True)
+        return np.arange(self.blows.shape[1]) == number - 1
 
     @property
     def repeated(self) -> Flags:
         """(s,) whether a specimen was hit more than once."""
-        return np.asarray((self.blows > 0).sum(axis=1) > 1)
+        return np.asarray(self.blows[:, 1:].any(axis=1))
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -151,12 +152,9 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
             if number > 0:
                 specimens.append((diameter[last], series, broke, exact, number))
     diameters, every, ended, known, weights = zip(*specimens, strict=True)
-    struck = np.zeros((len(every), max(map(len, every))))
-    for k, series in enumerate(every):
-        struck[k, : len(series)] = series
     tests = Specimens(
         diameter=np.array(diameters),
-        blows=struck,
+        blows=np.array([*zip_longest(*every, fillvalue=0.0)]).T,
         broke=np.array(ended),
         exact=np.array(known),
         weight=np.array(weights),
@@ -182,10 +180,9 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     x = np.log(diameter)
     y = np.log(energy)
     slope = 0.0
-    middle = np.median(y)
     if np.ptp(x) > 0.05:
-        slope, middle = np.polyfit(x, y, 1)
-    left = y - middle - slope * x
+        slope = np.polyfit(x, y, 1)[0]
+    left = y - slope * x
     away = np.abs(left - np.median(left))
     odd = away > 5.0 * max(1.4826 * np.median(away), 0.05)
     if not odd.any():
