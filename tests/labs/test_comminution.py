@@ -49,7 +49,7 @@ def specimens(diameter: Any, energy: Any, broke: Any = True, exact: Any = True) 
         diameter=d.copy(),
         blows=e[:, None].copy(),
         broke=b.copy(),
-        exact=x.copy(),
+        exact=x & b,
         weight=np.ones(len(d)),
     )
 

@@ -75,8 +75,8 @@ def _json(content: Any) -> str:
 
 
 def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -> tuple[str, str]:
-    value, low, high = (factor * estimate[key] for key in ("value", "low", "high"))
-    return f"{value:.4g} {unit}".rstrip(), f"{low:.4g} to {high:.4g}"
+    ends = f"{factor * estimate['low']:.4g} to {factor * estimate['high']:.4g}"
+    return f"{factor * estimate['value']:.4g} {unit}".rstrip(), ends
 
 
 def _fit_text(content: dict[str, Any]) -> str:

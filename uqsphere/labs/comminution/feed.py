@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument, Lognormal, SizesTable
@@ -61,9 +61,9 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
         cut = 1.0 - float(passing(np.asarray(top)))
         if cut > 1e-6:
             notes.append(_cut(cut, f"top = {top * 1e3:.4g} mm"))
-    edges: Array = top * asked.ratio ** -np.arange(asked.classes + 1.0, dtype=np.float64)
+    edges = top * asked.ratio ** -np.arange(asked.classes + 1, dtype=float)
     share = np.clip(passing(edges), 0.0, None)
-    return Classes(edges, np.append(share[:-1] - share[1:], share[-1]) / share[0], notes)
+    return Classes(edges, -np.diff(share, append=0.0) / share[0], notes)
 
 
 def _cut(share: float, place: str) -> str:
@@ -72,14 +72,12 @@ def _cut(share: float, place: str) -> str:
 
 def _law(asked: SizesTable, size: Array) -> Array:
     """The share that passes a size [m] by a law."""
-    from scipy.special import ndtr
-
     n = asked.n or 1.0
     if asked.law == "rosin_rammler":
         return -np.expm1(-((size / (asked.d63 or 1.0)) ** n))
     if asked.law == "gaudin_schuhmann":
         return (size / (asked.top or math.inf)) ** n
-    return ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0))
+    return special.ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0))
 
 
 def _sieves(
@@ -96,17 +94,17 @@ def _sieves(
     share = share[order]
     # a heading says whether it is in percent
     heading = table.headings[table.place(column)].lower()
-    largest = share[-1]
     percent = any(word in heading for word in ("%", "percent", "pct"))
-    if percent and largest <= 1.0:
+    largest = share[-1]
+    if largest > 1.0:
+        share = share * 0.01
+        if not percent:
+            notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
+    elif percent:
         raise UsageError(
             f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
             "these are shares, remove percent from the heading"
         )
-    if not percent and largest > 1.0:
-        notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
-    if largest > 1.0:
-        share = share * 0.01
     rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
     if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
         raise UsageError(
@@ -150,7 +148,8 @@ class Answer(NamedTuple):
     """A feed after its blows, over draws, and `content` as plain JSON.
 
     total (D,) : share of the feed that is broken.
-    sieves (S,) : [m]; passing (D, S) : share of the product that passes them.
+    sieves (S,) : [m]; passing (D, S) : share of the product that passes them, (0, 0) without
+        [product].
     """
 
     classes: Classes
@@ -184,9 +183,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     classes = load_classes(feed.sizes, folder)
     posterior = posterior.thin(DRAWS)
     rng = np.random.default_rng([asked.seed, 739])
+    edges, mass, _ = classes
     sizes = classes.sizes
-    mass = classes.mass
-    edges = classes.edges
     # energy of one blow per mass [J/kg], given in one of three ways; share that a particle absorbs
     each: Array = laws.mass_of(sizes, density)
     offered = (feed.energy or 0.0) / each
@@ -204,7 +202,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     total = broken @ mass
     # the edges of the classes and fourteen finer sieves
     finer = edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)
-    sieves = np.unique(np.concatenate([edges, finer]))
+    sieves = np.unique(np.append(edges, finer))
     # whole particles are uniform in the logarithm within a class, below the last sieve uniform
     lower = np.append(edges[1:], 1e-6 * edges[-1])
     unbroken = np.clip(np.log(sieves[:, None] / lower) / np.log(edges / lower), 0.0, 1.0)
@@ -230,17 +228,18 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         "blows": struck @ hit,
         "energy [J/kg]": struck @ (hit * taken),
     }
-    passing = np.full((len(broke), len(sieves)), np.nan)
-    passes = list[dict[str, float]]()
+    passing = np.empty((0, 0))
+    passes = []
     if product is not None:
         passing = whole @ unbroken.T
         if not feed.rebreak:
             passing = passing + (curves * broke[:, None]).sum(axis=2)
         passing = np.minimum(np.maximum.accumulate(passing, axis=1), 1.0)
-        for k, sieve in enumerate(sieves.tolist()):
-            passes.append({"sieve": sieve, "feed": before[k], **quantiles(passing[:, k])})
-        all_broke = np.maximum(broke.sum(axis=1), 1e-300)
-        numbers["t10"] = (broke * fineness).sum(axis=1) / all_broke
+        passes = [
+            {"sieve": sieve, "feed": share, **quantiles(column)}
+            for sieve, share, column in zip(sieves, before, passing.T, strict=True)
+        ]
+        numbers["t10"] = broke @ fineness / np.maximum(broke.sum(axis=1), 1e-300)
         log_sieves = np.log(sieves)
         rows = [*passing, before]
         p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
@@ -261,7 +260,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         outside = (offered < _OFFERED[0]) | (offered > _OFFERED[1])
         outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
         broke_of = broke.mean(axis=0)
-        beyond = (broke_of * outside).sum() / max(broke_of.sum(), 1e-300)
+        beyond = broke_of[outside].sum() / max(broke_of.sum(), 1e-300)
         if beyond > 0.01:
             warnings.append(
                 f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
@@ -273,7 +272,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             f"{beyond:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
             f"{high * 1e3:.3g} mm): its strength is extrapolated"
         )
-    fitted = any("gamma" in model.priors for model in posterior.models)
+    fitted = "gamma" in posterior.models[0].priors
     if feed.blows > 1 and not fitted and asked.tests.gamma == "fit":
         warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
     warnings.append("energies are those absorbed by the particles; the machine uses more")
@@ -300,7 +299,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     }
     if feed.lot is not None:
         # so many particles of each class, which break or not
-        count = np.maximum(np.round(mass * feed.lot / each), 0.0)
+        count = np.round(mass * feed.lot / each)
         few = count < 1e8
         many = np.maximum(count, 1.0)
         drawn = broken.copy()
@@ -331,11 +330,15 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
     fresh = [np.broadcast_to(mass, cumulative.shape[:2])]
     struck = np.zeros(cumulative.shape[:2])
     broken = np.zeros(cumulative.shape[:2])
-    for k in range(blows):
-        struck += sum(f * rest[:, :, k - j] for j, f in enumerate(fresh))
-        now = np.asarray(sum(f * breaks[:, :, k - j] for j, f in enumerate(fresh)))
+
+    def mass_of(share: Array, blow: int) -> Array:
+        """Mass of a share of what became fresh before each blow up to this one."""
+        return np.asarray(sum(f * share[:, :, blow - k] for k, f in enumerate(fresh)))
+
+    for blow in range(blows):
+        struck += mass_of(rest, blow)
+        now = mass_of(breaks, blow)
         broken += now
         if spread is not None:
             fresh.append((spread @ now[:, :, None])[:, :, 0])
-    left = np.asarray(sum(f * rest[:, :, blows - j] for j, f in enumerate(fresh)))
-    return struck, broken, left
+    return struck, broken, mass_of(rest, blows)

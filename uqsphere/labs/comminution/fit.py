@@ -169,7 +169,6 @@ def log_likelihoods(
 
     gamma : the damage exponent, None where it is one of the parameters.
     """
-    exact = tests.exact & tests.broke
     names = [*model.priors]
     fitted = "gamma" in names
     nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
@@ -199,7 +198,10 @@ def log_likelihoods(
         low, high = bounds(x)
         likelihood = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for rows, function in ((exact, laws.log_density), (~exact, laws.log_between)):
+            for rows, function in (
+                (tests.exact, laws.log_density),
+                (~tests.exact, laws.log_between),
+            ):
                 if rows.any():
                     ends = (low[..., rows], high[..., rows])
                     likelihood[..., rows] = function(
@@ -317,8 +319,7 @@ def _at_size(tests: Specimens, size: float) -> Flags:
 def _shows_scatter(tests: Specimens) -> bool:
     """Whether a particle was hit again, two gave their own energies, or one survived more than
     broke another of its size."""
-    exact = tests.last[tests.exact & tests.broke]
-    if tests.repeated.any() or len(np.unique(exact)) > 1:
+    if tests.repeated.any() or len(np.unique(tests.last[tests.exact])) > 1:
         return True
     for size in tests.sizes:
         near = _at_size(tests, size)
@@ -451,7 +452,7 @@ def _described(
             "specimens": len(tests.weight),
             "particles": posterior.tests,
             "broke": int(tests.weight[tests.broke].sum()),
-            "exact": int(tests.weight[tests.exact & tests.broke].sum()),
+            "exact": int(tests.weight[tests.exact].sum()),
             "repeated": int(tests.repeated.sum()),
             "diameters": posterior.tested,
         },

@@ -31,7 +31,7 @@ class Specimens:
     """Specimens (s,) with the blows (s, K) [J/kg] that each had, 0 for none.
 
     broke : whether the last blow broke it.
-    exact : whether its energy at failure is known.
+    exact : whether it broke at an energy that is known.
     weight : number of such particles.
     """
 
@@ -68,12 +68,11 @@ class Specimens:
     def bounds(self, gamma: Array) -> tuple[Array, Array]:
         """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
         known exactly."""
-        exponent = np.asarray(gamma, dtype=float)[..., None]
+        exponent = gamma[..., None]
         breaking = self._is_last & self.broke[:, None]
         survived = laws.survivor_bound(np.where(breaking, 0.0, self.blows), exponent)
         ended = np.where(self.broke, laws.survivor_bound(self.blows, exponent), np.inf)
-        known = self.exact & self.broke
-        return np.where(known, self.last, survived), np.where(known, self.last, ended)
+        return np.where(self.exact, self.last, survived), np.where(self.exact, self.last, ended)
 
 
 def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
@@ -86,8 +85,11 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     for column, value in want.where.items():
         cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
         kept = [row for row, cell in enumerate(cells) if cell == value]
-        lines = [table.lines[row] for row in kept]
-        table = replace(table, rows=[table.rows[row] for row in kept], lines=lines)
+        table = replace(
+            table,
+            rows=[table.rows[row] for row in kept],
+            lines=[table.lines[row] for row in kept],
+        )
     if not len(table):
         raise UsageError(f"{table.name}: tests.where selects no row")
     # a column, or the geometric mean of two sieves
@@ -146,9 +148,9 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
                 "one particle"
             )
         series = np.repeat(energy[rows], blows[rows].astype(int))
-        exact = at_failure[last] and len(series) == 1
         survived = particles[last] - broken[last]
         for broke, number in ((True, broken[last]), (False, survived)):
+            exact = broke and at_failure[last] and len(series) == 1
             if number > 0:
                 specimens.append((diameter[last], series, broke, exact, number))
     diameters, every, ended, known, weights = zip(*specimens, strict=True)
