@@ -90,7 +90,8 @@ def _keep(folder: Path, function: Any) -> None:
             return None
 
         def save(self, key: object, data: object) -> None:
-            path, content = self.place(key), dumps(data)
+            path = self.place(key)
+            content = dumps(data)
             beside = path.with_suffix(f".{os.getpid()}")
             try:
                 beside.write_bytes(sha256(path.name.encode() + content).digest() + content)

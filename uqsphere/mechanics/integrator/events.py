@@ -62,7 +62,8 @@ def value_of(series, m, theta):
 @compiled
 def approach_of(s, m, theta):
     """Approach of a face inside the step, and its derivative by theta."""
-    x, rate = s.x[ORDER, m], 0.0
+    x = s.x[ORDER, m]
+    rate = 0.0
     for k in range(ORDER - 1, -1, -1):
         rate = rate * theta + x
         x = x * theta + s.x[k, m]
@@ -72,7 +73,8 @@ def approach_of(s, m, theta):
 @compiled
 def _bend_of(s, m, theta):
     """First and second derivative of an approach by theta."""
-    rate, bend = 0.0, 0.0
+    rate = 0.0
+    bend = 0.0
     for k in range(ORDER, 0, -1):
         bend = bend * theta + rate
         rate = rate * theta + k * s.x[k, m]
@@ -83,19 +85,23 @@ def _bend_of(s, m, theta):
 def _both(s, j, kind, at_a, at_b):
     """Value and derivative of a function of both faces from those of their approaches."""
     (x_a, rate_a), (x_b, rate_b) = at_a, at_b
-    b, weight_a, weight_b = LANES + j, 1.0, 1.0
+    b = LANES + j
+    weight_a = 1.0
+    weight_b = 1.0
     if kind >= ENERGY and kind != MEAN:
         value_a, slope_a = stored_energy(s, j, x_a)
         value_b, slope_b = stored_energy(s, b, x_b)
         if kind == SHARE:
-            weight_a, weight_b = s.chi[j], s.chi[b]
+            weight_a = s.chi[j]
+            weight_b = s.chi[b]
     else:
         value_a, slope_a = face_force(s, j, x_a)
         value_b, slope_b = face_force(s, b, x_b)
         if kind == DIFFERENCE:
             weight_b = -1.0
         else:
-            weight_a, weight_b = 0.5, 0.5
+            weight_a = 0.5
+            weight_b = 0.5
     slope = weight_a * slope_a * rate_a + weight_b * slope_b * rate_b
     return weight_a * value_a + weight_b * value_b, slope
 
@@ -127,7 +133,8 @@ def root(s, m, level, sign, a, b):
     theta = b
     for _ in range(60):
         x, rate = approach_of(s, m, theta)
-        off, slope = sign * (x - level), sign * rate
+        off = sign * (x - level)
+        slope = sign * rate
         if off == 0.0:
             break
         if off > 0.0:
@@ -137,7 +144,8 @@ def root(s, m, level, sign, a, b):
         following = theta - off / slope
         if not a <= following <= b:
             following = 0.5 * (a + b)
-        change, theta = abs(following - theta), following
+        change = abs(following - theta)
+        theta = following
         if change < 1e-12:
             break
     return theta
@@ -157,10 +165,12 @@ def turn(s, j, kind, begin, end):
             return theta
         _, slope = _measure(s, j, kind, theta)
         if (slope < 0.0) != (slope_b < 0.0):
-            a, slope_a = b, slope_b
+            a = b
+            slope_a = slope_b
         else:
             slope_a *= 0.5
-        b, slope_b = theta, slope
+        b = theta
+        slope_b = slope
         if slope == 0.0:
             break
     return b
@@ -170,11 +180,13 @@ def turn(s, j, kind, begin, end):
 def passage(s, m, level, sign, begin, end):
     """First theta from `begin` to `end` at which sign (approach - level) >= 0, or inf."""
     width = (end - begin) / POINTS
-    left, left_slope = 0.0, 0.0
+    left = 0.0
+    left_slope = 0.0
     for i in range(POINTS + 1):
         b = begin + i * width if i < POINTS else end
         x, rate = approach_of(s, m, b)
-        right, right_slope = sign * (x - level), sign * rate * width
+        right = sign * (x - level)
+        right_slope = sign * rate * width
         a = b - width
         if right >= 0.0:
             if i == 0:
@@ -189,7 +201,8 @@ def passage(s, m, level, sign, begin, end):
             x, _ = approach_of(s, m, top)
             if sign * (x - level) >= 0.0:
                 return root(s, m, level, sign, a, top)
-        left, left_slope = right, right_slope
+        left = right
+        left_slope = right_slope
     return math.inf
 
 
@@ -200,26 +213,34 @@ def _deepest(s, j, m, end, deepest):
     A peak between two nodes is that of the cubic through both, mended by Newton's method on the
     series until what is left is a thousandth of the error of the step.
     """
-    width, place, allowed = end / POINTS, -1.0, 1e-3 * s.error[j] * s.size[2 * (m // LANES), j]
+    width = end / POINTS
+    place = -1.0
+    allowed = 1e-3 * s.error[j] * s.size[2 * (m // LANES), j]
     for i in range(POINTS + 1):
         if s.at[i, m] > deepest:
-            deepest, place = s.at[i, m], i * width
+            deepest = s.at[i, m]
+            place = i * width
     if s.top[m] <= deepest:
         return deepest, place
     for i in range(1, POINTS + 1):
-        left, left_slope = s.at[i - 1, m], s.rate[i - 1, m] * width
-        right, right_slope = s.at[i, m], s.rate[i, m] * width
+        left = s.at[i - 1, m]
+        left_slope = s.rate[i - 1, m] * width
+        right = s.at[i, m]
+        right_slope = s.rate[i, m] * width
         if not left_slope > 0.0 > right_slope:
             continue
         if highest_between(left, left_slope, right, right_slope) <= deepest:
             continue
-        begin, rise = (i - 1) * width, right - left
+        begin = (i - 1) * width
+        rise = right - left
         bow = 3.0 * rise - 2.0 * left_slope - right_slope
         twist = left_slope + right_slope - 2.0 * rise
         share = left_slope / (math.sqrt(bow * bow - 3.0 * left_slope * twist) - bow)
         theta = begin + share * width
         for _ in range(_STEPS_TO_PEAK):
-            peak, rate, bend = s.x[ORDER, m], 0.0, 0.0
+            peak = s.x[ORDER, m]
+            rate = 0.0
+            bend = 0.0
             for k in range(ORDER - 1, -1, -1):
                 bend = bend * theta + rate
                 rate = rate * theta + peak
@@ -234,7 +255,8 @@ def _deepest(s, j, m, end, deepest):
             if rate * step * abs(step) < allowed * width:
                 break
         if peak > deepest:
-            deepest, place = peak, theta
+            deepest = peak
+            place = theta
     return deepest, place
 
 
@@ -244,9 +266,13 @@ def _highest(s, j, kind, end, highest):
 
     Of the difference of the forces the size counts.
     """
-    b, width, left, left_slope = LANES + j, end / POINTS, 0.0, 0.0
+    b = LANES + j
+    width = end / POINTS
+    left = 0.0
+    left_slope = 0.0
     for i in range(POINTS + 1):
-        at_a, at_b = (s.at[i, j], s.rate[i, j]), (s.at[i, b], s.rate[i, b])
+        at_a = (s.at[i, j], s.rate[i, j])
+        at_b = (s.at[i, b], s.rate[i, b])
         right, right_slope = _both(s, j, kind, at_a, at_b)
         sign = 1.0
         if kind == DIFFERENCE:
@@ -261,7 +287,8 @@ def _highest(s, j, kind, end, highest):
             theta = turn(s, j, kind, ((i - 1) * width, left_slope), (i * width, right_slope))
             peak, _ = _measure(s, j, kind, theta)
             highest = max(highest, sign * peak)
-        left, left_slope = right, right_slope
+        left = right
+        left_slope = right_slope
     return highest
 
 
@@ -294,7 +321,8 @@ def _first_event(s, j):
     lane = s.lane[j]
     ends = s.theta[j]
     for face in range(2):
-        m, at = face * LANES + j, math.inf
+        m = face * LANES + j
+        at = math.inf
         if s.x[0, m] > 0.0:
             if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
                 _note_graze(s, j, m, ends)
@@ -306,14 +334,18 @@ def _first_event(s, j):
                 clear = 1e-3 * ends
             at = passage(s, m, 0.0, 1.0, clear, ends)
         if at <= ends:
-            ends, lane.why, lane.side = at, End.CONTACT, face
+            ends = at
+            lane.why = End.CONTACT
+            lane.side = face
         if s.has_laws and not lane.touching:
             if s.spring[m] == 0.0:
                 at = _virgin_end(s, m, ends)
             else:
                 at = _spring_end(s, m, ends)
             if at < ends or (at == ends and lane.why == End.SERIES):
-                ends, lane.why, lane.side = at, End.BRANCH, face
+                ends = at
+                lane.why = End.BRANCH
+                lane.side = face
     if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
         lane.lost = lane.time + ends * s.h[j]
         _note_loss(s, j, ends)
@@ -348,14 +380,18 @@ def _spring_end(s, m, end):
 @compiled
 def _virgin_end(s, m, end):
     """theta at which a face on virgin loading turns, or inf."""
-    width, left, bow_left = end / POINTS, s.x[1, m], 2.0 * s.x[2, m]
+    width = end / POINTS
+    left = s.x[1, m]
+    bow_left = 2.0 * s.x[2, m]
     for i in range(1, POINTS + 1):
-        begin, theta = (i - 1) * width, i * width
+        begin = (i - 1) * width
+        theta = i * width
         right, bow = _bend_of(s, m, theta)
         if left > 0.0:
             if right > 0.0 and bow_left < 0.0 < bow:
                 # a fall that may be over before the next point: where the rate is least
-                low, high = begin, theta
+                low = begin
+                high = theta
                 for _ in range(30):
                     if highest_between(-left, -bow_left * width, -right, -bow * width) <= 0.0:
                         break
@@ -369,7 +405,8 @@ def _virgin_end(s, m, end):
                         high = middle
             if right <= 0.0:
                 return turn(s, m % LANES, m // LANES, (begin, left), (theta, right))
-        left, bow_left = right, bow
+        left = right
+        bow_left = bow
     return math.inf
 
 
@@ -424,7 +461,9 @@ def after_step(s, j):
     lane.why and lane.side receive what ends it.
     """
     lane = s.lane[j]
-    ends, kinds, eventful = s.theta[j], 0, may_end(s, j)
+    ends = s.theta[j]
+    kinds = 0
+    eventful = may_end(s, j)
     if s.wanted & OF_BOTH:
         kinds = _may_grow(s, j)
     if eventful:
@@ -443,7 +482,9 @@ def after_step(s, j):
             lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
         at = _both_below(s, j, lane.low, ends)
         if at <= ends:
-            ends, lane.why, lane.ended = at, End.RECORD, lane.time + at * s.h[j]
+            ends = at
+            lane.why = End.RECORD
+            lane.ended = lane.time + at * s.h[j]
             if lane.lost > lane.ended:  # a loss after the record's end is none
                 lane.lost = math.nan
     if s.wanted & tracked.WANT_CARRIED:
@@ -458,7 +499,8 @@ def _note_approaches(s, j, ends):
     """The largest approach of each face so far, and the force of the other face there."""
     lane = s.lane[j]
     for face in range(2):
-        m, place = face * LANES + j, -1.0
+        m = face * LANES + j
+        place = -1.0
         # faces that are alike share the largest approach so far
         to = face if s.has_laws else FACE_A
         if s.has_laws and face_yielded(s, m):
@@ -473,7 +515,8 @@ def _note_approaches(s, j, ends):
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
             lane.chatter = lane.touches
     if not heard(lane, lane.back):
-        lane.x_first[FACE_A], lane.x_first[FACE_B] = lane.peak[FACE_A], lane.peak[FACE_B]
+        lane.x_first[FACE_A] = lane.peak[FACE_A]
+        lane.x_first[FACE_B] = lane.peak[FACE_B]
 
 
 #: functions of both faces whose largest values are followed
@@ -484,7 +527,10 @@ OF_BOTH = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | t
 def _may_grow(s, j):
     """Functions of both faces (bits) that may be the largest so far in the step of a lane."""
     lane = s.lane[j]
-    a, b, kinds, wanted = j, LANES + j, 0, s.wanted
+    a = j
+    b = LANES + j
+    kinds = 0
+    wanted = s.wanted
     if wanted & (tracked.WANT_MEAN | tracked.WANT_DIFFERENCE):
         most_a, _ = face_force(s, a, s.top[a])
         most_b, _ = face_force(s, b, s.top[b])
@@ -575,9 +621,12 @@ def first_at(s, j, made, level):
         kept = made[j, n]
         if kept.crest < level:
             continue
-        end, best = min(kept.holds, lane.ended - kept.began) / kept.unit, math.inf
+        end = min(kept.holds, lane.ended - kept.began) / kept.unit
+        best = math.inf
         for face in range(2):
-            m, height, spring = face * LANES + j, level, kept.spring[face]
+            m = face * LANES + j
+            height = level
+            spring = kept.spring[face]
             if s.has_laws and spring > 0.0:
                 height = (level / spring) ** (2.0 / 3.0)
             elif s.has_laws:
@@ -599,14 +648,19 @@ def _slopes(s, j, theta):
     """Right-hand side of theory (9) and (R3) for one lane, from s.trial to s.slope: x_1, x_2, u,
     U_A, -U_B.
     """
-    b, x_1, x_2, u = LANES + j, s.trial[0], s.trial[1], s.trial[2]
-    push_a, push_b = value_of(s.push, j, theta), value_of(s.push, b, theta)
+    b = LANES + j
+    x_1 = s.trial[0]
+    x_2 = s.trial[1]
+    u = s.trial[2]
+    push_a = value_of(s.push, j, theta)
+    push_b = value_of(s.push, b, theta)
     force_a, _ = face_force(s, j, x_1)
     force_b, _ = face_force(s, b, x_2)
     s.slope[0] = s.there[j] * (push_a - s.gives[j] * force_a - u + s.trial[3])
     s.slope[1] = s.there[b] * (push_b - s.gives[b] * force_b + u + s.trial[4])
     s.slope[2] = (force_a - force_b) * s.inverse_mu[j]
-    s.slope[3], s.slope[4] = -s.lightness[j] * force_a, -s.lightness[b] * force_b
+    s.slope[3] = -s.lightness[j] * force_a
+    s.slope[4] = -s.lightness[b] * force_b
     if s.mode == MASSLESS:  # both faces move alike
         s.slope[0] = s.slope[1] = 0.5 * (push_a + push_b) - force_a
 
@@ -627,9 +681,14 @@ def _join(series, m, rate, end, end_rate):
 @compiled
 def step_from_touch(s, j):
     """Replace the series of a lane over its trial step by cubics that join both ends."""
-    b, h, part = LANES + j, s.h[j], 1.0 / _TOUCH_STEPS
-    s.now[0], s.now[1], s.now[2] = s.x[0, j], s.x[0, b], s.u[0, j]
-    s.now[3], s.now[4] = s.free[0, j], s.free[0, b]
+    b = LANES + j
+    h = s.h[j]
+    part = 1.0 / _TOUCH_STEPS
+    s.now[0] = s.x[0, j]
+    s.now[1] = s.x[0, b]
+    s.now[2] = s.u[0, j]
+    s.now[3] = s.free[0, j]
+    s.now[4] = s.free[0, b]
     for v in range(5):
         s.trial[v] = s.now[v]
     _slopes(s, j, 0.0)
@@ -639,9 +698,11 @@ def step_from_touch(s, j):
         for v in range(5):
             s.mean[v] = s.slope[v] / 6.0
         for stage in range(1, 4):
-            share, weight = 0.5, 1.0 / 3.0
+            share = 0.5
+            weight = 1.0 / 3.0
             if stage == 3:
-                share, weight = 1.0, 1.0 / 6.0
+                share = 1.0
+                weight = 1.0 / 6.0
             for v in range(5):
                 s.trial[v] = s.now[v] + share * part * h * s.slope[v]
             _slopes(s, j, (i + share) * part)

@@ -67,27 +67,40 @@ def new_faces(s, j, given):
     """
     for face in range(2):
         m = face * LANES + j
-        s.dent[m], s.shift[m], s.constant[m], s.base[m] = 0.0, 0.0, 0.0, 0.0
-        s.by_x[m], s.by_root[m], s.by_log[m] = 0.0, 0.0, 0.0
-        s.start[m], s.inverse[m], s.turned_at[m] = 0.0, 0.0, -1.0
-        onset, stiffness = given[LAW_ONSET, face], given[LAW_STIFFNESS, face]
-        s.onset[m], s.softening[m], s.pile_up[m] = (
-            onset,
-            given[LAW_SOFTENING, face],
-            given[LAW_PILE_UP, face],
-        )
-        s.stiffness[m], s.spring[m], s.largest[m] = stiffness, stiffness, onset
-        s.unit_force[m], s.hertz[m] = stiffness * onset**1.5, stiffness
-        s.peak_force[m], s.chi[m] = s.unit_force[m], given[LAW_SHARE, face]
+        s.dent[m] = 0.0
+        s.shift[m] = 0.0
+        s.constant[m] = 0.0
+        s.base[m] = 0.0
+        s.by_x[m] = 0.0
+        s.by_root[m] = 0.0
+        s.by_log[m] = 0.0
+        s.start[m] = 0.0
+        s.inverse[m] = 0.0
+        s.turned_at[m] = -1.0
+        onset = given[LAW_ONSET, face]
+        stiffness = given[LAW_STIFFNESS, face]
+        s.onset[m] = onset
+        s.softening[m] = given[LAW_SOFTENING, face]
+        s.pile_up[m] = given[LAW_PILE_UP, face]
+        s.stiffness[m] = stiffness
+        s.spring[m] = stiffness
+        s.largest[m] = onset
+        s.unit_force[m] = stiffness * onset**1.5
+        s.hertz[m] = stiffness
+        s.peak_force[m] = s.unit_force[m]
+        s.chi[m] = given[LAW_SHARE, face]
 
 
 @compiled
 def press_on(s, m):
     """A spring whose approach rises through the largest so far: virgin loading."""
     s.spring[m] = 0.0
-    onset, b = s.onset[m], s.softening[m]
-    force, side = s.unit_force[m], math.sqrt(onset)
-    s.shift[m], s.hertz[m] = s.dent[m], 0.0
+    onset = s.onset[m]
+    b = s.softening[m]
+    force = s.unit_force[m]
+    side = math.sqrt(onset)
+    s.shift[m] = s.dent[m]
+    s.hertz[m] = 0.0
     s.by_x[m] = 1.5 * force * (1.0 + b) / onset
     s.by_root[m] = -3.0 * force * b * b / side
     s.by_log[m] = 3.0 * force * b * b * (b - 1.0)
@@ -100,17 +113,24 @@ def let_go(s, m, above):
     """Virgin loading that ends at `above` the dent: a spring with a new dent; returns the approach
     above that.
     """
-    approach, onset = above + s.dent[m], s.onset[m]
+    approach = above + s.dent[m]
+    onset = s.onset[m]
     largest = max(approach, s.largest[m])
     force = _virgin_force(largest / onset, s.softening[m])
     area = _virgin_area(largest / onset, s.softening[m], s.pile_up[m])
     recovered = onset * force / math.sqrt(area)
     s.peak_force[m] = s.unit_force[m] * force
-    s.largest[m], s.dent[m] = largest, largest - recovered
+    s.largest[m] = largest
+    s.dent[m] = largest - recovered
     s.spring[m] = s.peak_force[m] / (recovered * math.sqrt(recovered))
     s.hertz[m] = s.spring[m]
-    s.shift[m], s.by_x[m], s.by_root[m], s.by_log[m], s.constant[m] = 0.0, 0.0, 0.0, 0.0, 0.0
-    s.start[m], s.inverse[m] = 0.0, 0.0
+    s.shift[m] = 0.0
+    s.by_x[m] = 0.0
+    s.by_root[m] = 0.0
+    s.by_log[m] = 0.0
+    s.constant[m] = 0.0
+    s.start[m] = 0.0
+    s.inverse[m] = 0.0
     return approach - s.dent[m]
 
 
@@ -167,11 +187,13 @@ def start_series(s, m):
     loading.
     """
     if s.mode == LINEAR:
-        s.hertz[m], s.by_x[m] = 0.0, 0.0
+        s.hertz[m] = 0.0
+        s.by_x[m] = 0.0
         if s.x[0, m] > 0.0:
             s.by_x[m] = 1.0
     elif s.spring[m] == 0.0:
-        s.start[m], s.inverse[m] = s.constant[m], 0.0
+        s.start[m] = s.constant[m]
+        s.inverse[m] = 0.0
         if s.by_log[m] != 0.0:
             side = math.sqrt(s.x[0, m] + s.shift[m])
             s.start[m] += s.by_log[m] * log_start(s, m, side)
@@ -189,7 +211,8 @@ def face_force(s, m, above):
         side = s.spring[m] * math.sqrt(above)
         return side * above, 1.5 * side
     root = math.sqrt(max(above + s.shift[m], 1e-300))
-    force, slope = s.constant[m] + s.by_x[m] * above + s.by_root[m] * root, s.by_root[m]
+    force = s.constant[m] + s.by_x[m] * above + s.by_root[m] * root
+    slope = s.by_root[m]
     if s.by_log[m] != 0.0:
         force += s.by_log[m] * log_start(s, m, root)
         slope += s.by_log[m] / (root + s.base[m])
@@ -201,7 +224,8 @@ def _virgin(s, m, approach):
     """Force of a face at its largest approach so far, and its derivative; elastic below the
     onset.
     """
-    onset, b = s.onset[m], s.softening[m]
+    onset = s.onset[m]
+    b = s.softening[m]
     z = approach / onset
     if z <= 1.0:
         side = s.stiffness[m] * math.sqrt(approach)
@@ -234,12 +258,14 @@ def stored_energy(s, m, above):
     force, slope = face_force(s, m, above)
     if s.spring[m] > 0.0:
         return (0.5 if s.mode == LINEAR else 0.4) * force * max(above, 0.0), force
-    onset, b = s.onset[m], s.softening[m]
+    onset = s.onset[m]
+    b = s.softening[m]
     z = max((above + s.shift[m]) / onset, 1.0)
     area = _virgin_area(z, b, s.pile_up[m])
     recovered = onset * (force / s.unit_force[m]) / math.sqrt(area)
     # dA/dz of (C6) is C - (C - 1) g/(g + y - 1)
-    pile_up, g = s.pile_up[m], _area_shape(b, s.pile_up[m])
+    pile_up = s.pile_up[m]
+    g = _area_shape(b, s.pile_up[m])
     widens = pile_up
     if g > 0.0:
         widens -= (pile_up - 1.0) * g / (g + math.sqrt(z) - 1.0)
@@ -293,7 +319,10 @@ def wrong_branch(s, m, length, beyond):
     rises from its largest approach but turns before it is `beyond` it, as the error of a turn may
     leave it, stays one.
     """
-    still, x, rate, bow = STILL * length, s.x[0, m], s.x[1, m], s.x[2, m]
+    still = STILL * length
+    x = s.x[0, m]
+    rate = s.x[1, m]
+    bow = s.x[2, m]
     if s.spring[m] == 0.0:
         return rate < -still or (rate <= still and bow < 0.0)
     rises = bow > 0.0 if rate <= still else rate * rate > -4.0 * bow * beyond
@@ -318,7 +347,8 @@ def within_spring(s, j):
     """
     share = 1.0
     for m in range(j, PAIR, LANES):
-        rest, reach = s.largest[m] - s.dent[m] - s.x[0, m], s.top[m] - s.x[0, m]
+        rest = s.largest[m] - s.dent[m] - s.x[0, m]
+        reach = s.top[m] - s.x[0, m]
         if s.spring[m] > 0.0 and reach > rest > ARMED * s.largest[m]:
             share = min(share, 0.9 * rest / reach)
     return share

@@ -19,14 +19,19 @@ from uqsphere.mechanics.integrator.tracked import LANES, ORDER, QUEUE, TERMS, WA
 def incident(s, j):
     """2 f of the pulse as a series over the step of a lane, theory (4)."""
     lane = s.lane[j]
-    h, z = s.h[j], lane.time - lane.offset
-    c_0, c_1, c_2, c_3 = lane.cubic[0], lane.cubic[1], lane.cubic[2], lane.cubic[3]
+    h = s.h[j]
+    z = lane.time - lane.offset
+    c_0 = lane.cubic[0]
+    c_1 = lane.cubic[1]
+    c_2 = lane.cubic[2]
+    c_3 = lane.cubic[3]
     s.push[0, j] = 2.0 * (c_0 + z * (c_1 + z * (c_2 + z * c_3)))
     s.push[1, j] = 2.0 * h * (c_1 + z * (2.0 * c_2 + z * (3.0 * c_3)))
     s.push[2, j] = 2.0 * h * h * (c_2 + z * (3.0 * c_3))
     s.push[3, j] = 2.0 * h * h * h * c_3
     if lane.frequency > 0.0:
-        angle, phase = lane.frequency * h, lane.frequency * lane.time
+        angle = lane.frequency * h
+        phase = lane.frequency * lane.time
         s.push[0, j] = 2.0 * math.sin(phase)
         s.push[1, j] = 2.0 * angle * math.cos(phase)
         for k in range(2, TERMS):
@@ -37,21 +42,25 @@ def incident(s, j):
 def enter_piece(s, j, rows):
     """Put the piece of the pulse that begins at or holds the time of a lane into it."""
     lane = s.lane[j]
-    r, pieces, piece = lane.number, rows.coefficients.shape[1], 0
+    r = lane.number
+    pieces = rows.coefficients.shape[1]
+    piece = 0
     while piece < pieces and rows.breaks[r, piece + 1] <= lane.time:
         piece += 1
     lane.frequency = 0.0
     for k in range(4):
         lane.cubic[k] = rows.coefficients[r, piece, k] if piece < pieces else 0.0
     if piece < pieces:
-        lane.offset, lane.frequency = rows.breaks[r, piece], rows.frequencies[r]
+        lane.offset = rows.breaks[r, piece]
+        lane.frequency = rows.frequencies[r]
 
 
 @compiled
 def next_break(s, j, rows):
     """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
     lane = s.lane[j]
-    best, r = lane.end, lane.number
+    best = lane.end
+    r = lane.number
     near = lane.time + 1e-13 * (1.0 + lane.time)
     for k in range(rows.breaks.shape[1]):
         if near < rows.breaks[r, k] < best:
@@ -98,7 +107,9 @@ def echo_steps(s, j, made):
     what they hold.
     """
     lane = s.lane[j]
-    time, h, newest = lane.time, s.h[j], lane.count - 1
+    time = lane.time
+    h = s.h[j]
+    newest = lane.count - 1
     near = 1e-13 * (1.0 + time)
     for bar in range(2):
         begin = time - lane.trips[bar]
@@ -128,10 +139,12 @@ def read_echo(s, j, bar, made):
     points of the step.
     """
     lane = s.lane[j]
-    m, begin = bar * LANES + j, lane.time - lane.trips[bar]
+    m = bar * LANES + j
+    begin = lane.time - lane.trips[bar]
     for step in range(lane.first[bar], lane.last[bar] + 1):
         kept = made[j, step & (s.ring - 1)]
-        shift, stretch = (begin - kept.began) / kept.unit, s.h[j] / kept.unit
+        shift = (begin - kept.began) / kept.unit
+        stretch = s.h[j] / kept.unit
         for i in range(WAVE):
             theta = shift + stretch * WAVE_THETAS[i]
             value = 0.0

@@ -121,7 +121,9 @@ def march(rows, order, state, made, kept, out):
     state (1,): tracked.STATE with what is asked; made (LANES, room): tracked.STEP; kept
     (len(order), room): tracked.PATH, the series of every row, where there is room for them.
     """
-    s, taken, live = state[0], 0, 0
+    s = state[0]
+    taken = 0
+    live = 0
     while True:
         for j in range(LANES if live < LANES else 0):
             lane = s.lane[j]
@@ -159,7 +161,8 @@ def _leave(s, j, made, out):
     """The row of a lane is done: its status, and its answers if it has any."""
     lane = s.lane[j]
     r = lane.number
-    out.status[r], lane.number = lane.fate, -1
+    out.status[r] = lane.fate
+    lane.number = -1
     if lane.fate != tracked.OK:
         return
     out.steps[r] = lane.count
@@ -182,27 +185,45 @@ def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
     lane = s.lane[j]
     level = rows.level[r]
-    lane.number, lane.count, lane.attempts, lane.touching, lane.fate = r, 0, 0, 1, GOES_ON
-    lane.single, lane.time, lane.proposed, s.error[j] = 0, 0.0, 1e30, s.local
-    lane.mass, s.inverse_mu[j] = rows.mass[r], 1.0 / rows.mass[r]
+    lane.number = r
+    lane.count = 0
+    lane.attempts = 0
+    lane.touching = 1
+    lane.fate = GOES_ON
+    lane.single = 0
+    lane.time = 0.0
+    lane.proposed = 1e30
+    s.error[j] = s.local
+    lane.mass = rows.mass[r]
+    s.inverse_mu[j] = 1.0 / rows.mass[r]
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
-    lane.end, lane.pulse_end = rows.horizon[r], rows.pulse_end[r] * (1.0 - 1e-12)
-    s.size[0, j], s.size[1, j], s.size[2, j] = level, 0.1 * level, level
-    s.size[3, j], s.size[4, j] = 1.0, 1.0
+    lane.end = rows.horizon[r]
+    lane.pulse_end = rows.pulse_end[r] * (1.0 - 1e-12)
+    s.size[0, j] = level
+    s.size[1, j] = 0.1 * level
+    s.size[2, j] = level
+    s.size[3, j] = 1.0
+    s.size[4, j] = 1.0
     new_faces(s, j, rows.laws[r])
     lane.by_law = follows_law(s, j)
-    quickest, stiffest = 1.0 / rows.mass[r], 0.0
+    quickest = 1.0 / rows.mass[r]
+    stiffest = 0.0
     for face in range(2):
-        m, lightness = face * LANES + j, rows.poles[r, tracked.POLE_LIGHTNESS, face]
-        lane.reflect[face], lane.trips[face] = rows.ends[r, face], rows.round_trips[r, face]
-        lane.head[face], lane.tail[face], lane.first[face], lane.last[face] = 0, 0, 0, 0
-        s.gives[m], s.lightness[m] = rows.poles[r, tracked.POLE_GIVES, face], lightness
-        s.there[m], s.free[0, m] = (
-            rows.poles[r, tracked.POLE_THERE, face],
-            rows.poles[r, tracked.POLE_SPEED, face],
-        )
-        s.x[0, m], s.u[0, m] = 0.0, 0.0
+        m = face * LANES + j
+        lightness = rows.poles[r, tracked.POLE_LIGHTNESS, face]
+        lane.reflect[face] = rows.ends[r, face]
+        lane.trips[face] = rows.round_trips[r, face]
+        lane.head[face] = 0
+        lane.tail[face] = 0
+        lane.first[face] = 0
+        lane.last[face] = 0
+        s.gives[m] = rows.poles[r, tracked.POLE_GIVES, face]
+        s.lightness[m] = lightness
+        s.there[m] = rows.poles[r, tracked.POLE_THERE, face]
+        s.free[0, m] = rows.poles[r, tracked.POLE_SPEED, face]
+        s.x[0, m] = 0.0
+        s.u[0, m] = 0.0
         if s.rigged:
             s.u[0, m] = rows.speed[r]
             s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
@@ -210,7 +231,8 @@ def _enter(s, j, r, rows):
                 s.size[3 + face, j] = 0.1 * min(1.0, lightness)
         lane.touched[face] = 1.0 - s.there[m]
         if s.there[m] > 0.0:
-            quickest, stiffest = max(quickest, lightness), max(stiffest, s.stiffness[m])
+            quickest = max(quickest, lightness)
+            stiffest = max(stiffest, s.stiffness[m])
     lane.quickest = quickest
     if s.rigged:
         lane.quickest = max(quickest, 1.0) * max(stiffest, 1.0)
@@ -240,7 +262,8 @@ def _waves(s, made):
             s.push[k, m] = 0.0
     echoing = False
     for m in range(PAIR):
-        s.returns[m], s.misfit[m] = 0.0, 0.0
+        s.returns[m] = 0.0
+        s.misfit[m] = 0.0
     for j in range(LANES):
         lane = s.lane[j]
         if lane.number < 0:
@@ -265,7 +288,8 @@ def _try_step(s, j):
     nearly is.
     """
     lane = s.lane[j]
-    scale, largest = min(s.size[0, j], s.size[2, j]), max(s.size[0, j], s.size[2, j])
+    scale = min(s.size[0, j], s.size[2, j])
+    largest = max(s.size[0, j], s.size[2, j])
     if lane.touching:
         # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a
         # touch
@@ -331,10 +355,13 @@ def _choose(s, j):
     would be left.
     """
     lane = s.lane[j]
-    lane.why, lane.switched = End.SERIES, 0
-    theta, left = min(s.theta[j], 1.0), lane.stop - lane.time
+    lane.why = End.SERIES
+    lane.switched = 0
+    theta = min(s.theta[j], 1.0)
+    left = lane.stop - lane.time
     if lane.touching:
-        theta, s.wrong_allowed[j] = 1.0, math.inf
+        theta = 1.0
+        s.wrong_allowed[j] = math.inf
         events.step_from_touch(s, j)
     elif lane.by_law:
         lane.switched = _against_branch(s, j)
@@ -378,7 +405,8 @@ def _holds(s, j):
             lane.proposed = reached * s.h[j]
             return False
     # the root's series has parted from the root; a series has overflowed; an echo is not fitted
-    crossed, overflowed = s.excess[j] > 1.0, not s.theta[j] > 0.0
+    crossed = s.excess[j] > 1.0
+    overflowed = not s.theta[j] > 0.0
     left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
     misfit = left_out > s.error[j] * min(s.size[0, j], s.size[2, j])
     if not (crossed or overflowed or misfit):
@@ -393,7 +421,8 @@ def _holds(s, j):
         lane.proposed = 0.5 * s.h[j]
         joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
         if joints > 0 and not lane.single:
-            lane.single, lane.proposed = 1, s.h[j]
+            lane.single = 1
+            lane.proposed = s.h[j]
     if lane.proposed <= 1e-15 * (1.0 + lane.time) or lane.attempts > 10 * LIMIT:
         lane.fate = tracked.STUCK
     return False
@@ -410,7 +439,8 @@ def _change_branch(s, j):
             if s.turned_at[m] != lane.time:
                 s.turns[m] = 0.0
             s.turns[m] += 1.0
-            s.x[0, m], s.turned_at[m] = switch(s, m, s.x[0, m]), lane.time
+            s.x[0, m] = switch(s, m, s.x[0, m])
+            s.turned_at[m] = lane.time
 
 
 # --- keep and turn
@@ -429,14 +459,17 @@ def _keep(s, j, ending, made):
         lane.by_law and lane.count > FREE_STEPS
     ):  # errors to one side add up: of so many steps no more than a logarithm
         s.error[j] *= 1.0 - 1.0 / lane.count
-    step.began, step.holds, step.unit = lane.time, ending * s.h[j], s.h[j]
+    step.began = lane.time
+    step.holds = ending * s.h[j]
+    step.unit = s.h[j]
     if s.wanted & tracked.WANT_RISE:
         step.crest = max(s.top[j], s.top[LANES + j])
         if s.has_laws:
             step.crest = most_force(s, j)
         for face in range(2):
             m = face * LANES + j
-            step.spring[face], step.dent[face] = s.spring[m], s.dent[m]
+            step.spring[face] = s.spring[m]
+            step.dent[face] = s.dent[m]
             for k in range(TERMS):
                 step.path[face, k] = s.x[k, m]
     for bar in range(2):
@@ -450,12 +483,16 @@ def _keep(s, j, ending, made):
 def _give_out(s, j, ending, path):
     """The step as a `Motion` has it."""
     lane = s.lane[j]
-    path.start, path.length = lane.time, ending * s.h[j]
-    power, k_of = 1.0, LANES + j
+    path.start = lane.time
+    path.length = ending * s.h[j]
+    power = 1.0
+    k_of = LANES + j
     for k in range(TERMS):
-        path.series[0, k], path.series[1, k] = s.x[k, j] * power, s.x[k, k_of] * power
+        path.series[0, k] = s.x[k, j] * power
+        path.series[1, k] = s.x[k, k_of] * power
         path.series[2, k] = s.u[k, j] * power
-        path.series[3, k], path.series[4, k] = s.force[k, j] * power, s.force[k, k_of] * power
+        path.series[3, k] = s.force[k, j] * power
+        path.series[4, k] = s.force[k, k_of] * power
         power *= ending
     for face in range(2 if s.has_laws else 0):
         # the series of a force ends a power of the step before that of its approach: what is left
@@ -474,7 +511,8 @@ def _turn(s, j, ending, made):
     jump.
     """
     lane = s.lane[j]
-    reaches, ahead = records.approach_after_loss(s, j, ending), math.nan
+    reaches = records.approach_after_loss(s, j, ending)
+    ahead = math.nan
     at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     at_stop = at_stop and lane.why < End.CONTACT
     _move_on(s, j, ending)
@@ -532,29 +570,34 @@ def _judge(s, j):
 def _move_on(s, j, ending):
     """The state at the end of a step, on the branch and with the contact that follow it."""
     lane = s.lane[j]
-    why, touched = lane.why, lane.side * LANES + j
+    why = lane.why
+    touched = lane.side * LANES + j
     if ending < s.theta[j]:
         s.u_end[j] = events.value_of(s.u, j, ending)
         for m in range(j, PAIR, LANES):
             s.at[POINTS, m] = events.value_of(s.x, m, ending)
-    lane.touching, lane.single = 0, 0
+    lane.touching = 0
+    lane.single = 0
     if why == End.CONTACT:
         if s.x[0, touched] <= 0.0:
-            lane.touching, lane.touches = 1, lane.touches + 1.0
+            lane.touching = 1
+            lane.touches = lane.touches + 1.0
         else:
             lane.parted = lane.time + ending * s.h[j]
         for m in range(j, PAIR, LANES):
             if m == touched or s.mode == MASSLESS:  # both faces move alike
                 s.at[POINTS, m] = 0.0
     elif why == End.BRANCH:
-        lane.by_law, s.error[j] = 1, min(s.error[j], s.closer * s.local)
+        lane.by_law = 1
+        s.error[j] = min(s.error[j], s.closer * s.local)
         before = s.at[POINTS, touched]
         s.at[POINTS, touched] = switch(s, touched, before)
         if s.mode == MASSLESS:
             other = LANES + 2 * j - touched
             switch(s, other, s.at[POINTS, touched])
             s.at[POINTS, other] = s.at[POINTS, touched]
-    s.x[0, j], s.x[0, LANES + j] = s.at[POINTS, j], s.at[POINTS, LANES + j]
+    s.x[0, j] = s.at[POINTS, j]
+    s.x[0, LANES + j] = s.at[POINTS, LANES + j]
     s.u[0, j] = s.u[0, LANES + j] = s.u_end[j]
     if s.rigged:
         for face in range(2):
@@ -579,7 +622,8 @@ def _propose(s, j, ending, at_stop, ahead):
     """How long the next step may be; ahead: until a gap closes in free flight, else NaN."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
-    kept_up, growth = 0.0, GROWTH
+    kept_up = 0.0
+    growth = GROWTH
     if ending == 1.0 and not at_stop:
         kept_up = lane.proposed
     if incoming.heard(lane, lane.back):

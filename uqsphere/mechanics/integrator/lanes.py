@@ -92,7 +92,8 @@ def _next_terms(s, k, lanes):
     share = 1.0 / (k + 1.0)
     if s.rigged:
         for c in range(PAIR):
-            h, force = s.h[c] * share, s.force[k, c]
+            h = s.h[c] * share
+            force = s.force[k, c]
             rate = s.push[k, c] + s.free[k, c] - s.gives[c] * force - s.side_sign[c] * s.u[k, c]
             s.x[k + 1, c] = h * s.there[c] * rate
             s.free[k + 1, c] = -h * s.lightness[c] * force
@@ -118,7 +119,8 @@ def _sums(k):
     @compiled
     def sums(s):
         for c in range(PAIR):
-            squares, products = 0.0, 0.0
+            squares = 0.0
+            products = 0.0
             for i in range(1, k):
                 root = s.root[k - i, c]
                 squares += s.root[i, c] * root
@@ -184,12 +186,21 @@ def reach(s):
     beyond the circle in which the series holds, and its radius follows from how they grow over four
     powers.
     """
-    o, p, n, r = ORDER, ORDER - 1, ORDER - 4, ORDER - 5
+    o = ORDER
+    p = ORDER - 1
+    n = ORDER - 4
+    r = ORDER - 5
     for a in range(LANES):
         b = LANES + a
-        before_a, before_b = abs(s.x[p, a]), abs(s.x[p, b])
-        last_a, last_b = abs(s.x[o, a]), abs(s.x[o, b])
-        x_a, x_b, u, v_a, v_b = s.size[0, a], s.size[2, a], s.size[1, a], s.size[3, a], s.size[4, a]
+        before_a = abs(s.x[p, a])
+        before_b = abs(s.x[p, b])
+        last_a = abs(s.x[o, a])
+        last_b = abs(s.x[o, b])
+        x_a = s.size[0, a]
+        x_b = s.size[2, a]
+        u = s.size[1, a]
+        v_a = s.size[3, a]
+        v_b = s.size[4, a]
         before = max(max(before_a / x_a, before_b / x_b), abs(s.u[p, a]) / u)
         before = max(before, max(abs(s.free[p, a]) / v_a, abs(s.free[p, b]) / v_b))
         last = max(max(last_a / x_a, last_b / x_b), abs(s.u[o, a]) / u)
@@ -202,7 +213,8 @@ def reach(s):
         t_15 = t_4 * t_4 * t_4 * (t * t * t)
         sum_15 = t_15 * (before + t * last)
         t *= math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (sum_15 + 1e-300)))))
-        late_a, late_b = max(before_a, last_a), max(before_b, last_b)
+        late_a = max(before_a, last_a)
+        late_b = max(before_b, last_b)
         early_a = max(abs(s.x[r, a]), abs(s.x[n, a]))
         early_b = max(abs(s.x[r, b]), abs(s.x[n, b]))
         circle_a = _CIRCLE * math.sqrt(math.sqrt(early_a / (late_a + 1e-300)))
@@ -222,7 +234,9 @@ def _root_ends(s):
     the series walks between them and goes on, smoothly, with -sqrt(x).
     """
     for c in range(PAIR):
-        z, x, root = s.theta[c], s.x[ORDER, c], s.root[ORDER, c]
+        z = s.theta[c]
+        x = s.x[ORDER, c]
+        root = s.root[ORDER, c]
         for k in range(1, TERMS):
             x = x * z + s.x[ORDER - k, c]
             root = root * z + s.root[ORDER - k, c]
@@ -260,17 +274,23 @@ def survey(s):
     for i in range(1, POINTS + 1):
         share = i / POINTS
         for c in range(PAIR):
-            z, x, rate = share * s.theta[c], s.x[ORDER, c], 0.0
+            z = share * s.theta[c]
+            x = s.x[ORDER, c]
+            rate = 0.0
             for k in range(1, TERMS):
                 rate = rate * z + x
                 x = x * z + s.x[ORDER - k, c]
             s.at[i, c] = x
             s.rate[i, c] = rate
     for c in range(PAIR):
-        width, top, floor = s.theta[c] / POINTS, s.at[0, c], s.at[0, c]
+        width = s.theta[c] / POINTS
+        top = s.at[0, c]
+        floor = s.at[0, c]
         for i in range(1, POINTS + 1):
-            left, right = s.at[i - 1, c], s.at[i, c]
-            a, b = width * s.rate[i - 1, c], width * s.rate[i, c]
+            left = s.at[i - 1, c]
+            right = s.at[i, c]
+            a = width * s.rate[i - 1, c]
+            b = width * s.rate[i, c]
             # where the tangents meet, and a fifth for bends
             bow = 1.2 * a * b / (b - a) if a * b < 0.0 else 0.0
             top = max(top, max(left, right) + max(bow, 0.0))

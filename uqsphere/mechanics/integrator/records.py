@@ -78,7 +78,8 @@ def echoes_have_acted(s, j):
 @compiled
 def _wave(kept, bar, theta):
     """The wave that left a face in a kept step, and its derivative, at a share of the step."""
-    value, slope = kept.wave[bar, ORDER], 0.0
+    value = kept.wave[bar, ORDER]
+    slope = 0.0
     for k in range(ORDER - 1, -1, -1):
         slope = slope * theta + value
         value = value * theta + kept.wave[bar, k]
@@ -93,11 +94,15 @@ def _bound_waves(s, j, bar, made):
     how many there are, or -1 for too many.
     """
     lane = s.lane[j]
-    trip, newest, count = lane.trips[bar], lane.count - 1, 0
+    trip = lane.trips[bar]
+    newest = lane.count - 1
+    count = 0
     begin = lane.time - trip
     if begin < 0.0:  # nothing has left the face before first touch
-        s.cell_end[bar, 0], s.cell_wave[bar, 0] = trip, 0.0
-        begin, count = 0.0, 1
+        s.cell_end[bar, 0] = trip
+        s.cell_wave[bar, 0] = 0.0
+        begin = 0.0
+        count = 1
     n = max(lane.first[bar], 0)
     while n < newest:
         kept = made[j, n & (s.ring - 1)]
@@ -110,7 +115,8 @@ def _bound_waves(s, j, bar, made):
             break
         if count + _PARTS > CELLS:
             return -1
-        first, last = max(begin - kept.began, 0.0) / kept.unit, kept.holds / kept.unit
+        first = max(begin - kept.began, 0.0) / kept.unit
+        last = kept.holds / kept.unit
         width = (last - first) / _PARTS
         left, left_slope = _wave(kept, bar, first)
         for part in range(1, _PARTS + 1):
@@ -120,7 +126,9 @@ def _bound_waves(s, j, bar, made):
                 left, width * left_slope, right, width * right_slope
             )
             s.cell_end[bar, count] = kept.began + kept.unit * theta + trip
-            left, left_slope, count = right, right_slope, count + 1
+            left = right
+            left_slope = right_slope
+            count = count + 1
     return count
 
 
@@ -162,13 +170,16 @@ def _largest_squeeze(s, j):
         return (largest if s.mode == MASSLESS else 0.5 * largest), 1.0
     if on_virgin_loading(s, j):
         return 0.0, 1.0
-    force, soft, stiff = largest_force(s, j), math.inf, 0.0
+    force = largest_force(s, j)
+    soft = math.inf
+    stiff = 0.0
     for m in range(j, 2 * LANES, LANES):
         elastic_to = s.unit_force[m]
         if face_yielded(s, m):
             elastic_to = s.peak_force[m]
         force = min(force, elastic_to)
-        soft, stiff = min(soft, s.spring[m]), max(stiff, s.spring[m])
+        soft = min(soft, s.spring[m])
+        stiff = max(stiff, s.spring[m])
     approach = (force / stiff) ** (2.0 / 3.0)
     return (approach if s.mode == MASSLESS else 0.5 * approach), soft
 
@@ -228,16 +239,25 @@ def no_harder_squeeze(s, j, alone, made):
 def _stays_below(s, j, squeeze, largest, stiffness):
     """Whether s stays below `largest` up to the horizon under the bounds of the waves."""
     lane = s.lane[j]
-    time, at_start, cells_a, cells_b = lane.time, squeeze, s.cells[0], s.cells[1]
+    time = lane.time
+    at_start = squeeze
+    cells_a = s.cells[0]
+    cells_b = s.cells[1]
     if cells_a == 0 or cells_b == 0:
         alike = lane.reflect[1 if cells_a == 0 else 0] == 1.0
     else:
         alike = abs(lane.trips[0] - lane.trips[1]) < 1e-9 * lane.trips[0]
         alike = alike and lane.reflect[0] == 1.0 and lane.reflect[1] == 1.0
-    weight_a, weight_b, shift_a, shift_b = lane.reflect[0], lane.reflect[1], 0.0, 0.0
-    a, b = 0, 0
+    weight_a = lane.reflect[0]
+    weight_b = lane.reflect[1]
+    shift_a = 0.0
+    shift_b = 0.0
+    a = 0
+    b = 0
     for _ in range(_MOST_CELLS):
-        until_a, until_b, drive = math.inf, math.inf, 0.0
+        until_a = math.inf
+        until_b = math.inf
+        drive = 0.0
         if cells_a > 0:
             until_a = s.cell_end[0, a] + shift_a
             drive = weight_a * s.cell_wave[0, a]
@@ -257,12 +277,16 @@ def _stays_below(s, j, squeeze, largest, stiffness):
         if until_a <= time:
             a += 1
             if a == cells_a:
-                a, shift_a, weight_a = 0, shift_a + lane.trips[0], weight_a * lane.reflect[0]
+                a = 0
+                shift_a = shift_a + lane.trips[0]
+                weight_a = weight_a * lane.reflect[0]
                 wrapped = True
         if until_b <= time:
             b += 1
             if b == cells_b:
-                b, shift_b, weight_b = 0, shift_b + lane.trips[1], weight_b * lane.reflect[1]
+                b = 0
+                shift_b = shift_b + lane.trips[1]
+                weight_b = weight_b * lane.reflect[1]
                 wrapped = True
         if wrapped and alike and a == 0 and b == 0:
             if squeeze <= at_start:  # the same waves come again, to a looser sphere
@@ -281,13 +305,17 @@ def no_higher_approach(s, j):
     with laws of their own are all springs now: what yields takes energy and brings none back.
     """
     lane = s.lane[j]
-    level, slack = lane.steady, 1.0 + 0.1 * s.error[j]
+    level = lane.steady
+    slack = 1.0 + 0.1 * s.error[j]
     if level < 0.0:
         return False
     stored = 0.5 * lane.mass * (s.u[0, j] - level) ** 2
-    least, rest, least_phi = math.inf, level, 0.5 * level * level
+    least = math.inf
+    rest = level
+    least_phi = 0.5 * level * level
     for m in range(j, PAIR, LANES):
-        spring, reached = s.spring[m], max(s.x[0, m], 0.0)
+        spring = s.spring[m]
+        reached = max(s.x[0, m], 0.0)
         if spring == 0.0:
             return False
         if level > 0.0 and s.mode != LINEAR:
@@ -313,7 +341,8 @@ def _stays_pressed(s, j):
     m.  While m falls its amplitude grows no faster than 1/m^(1/8), by a half until the record ends.
     """
     lane = s.lane[j]
-    b, low = LANES + j, lane.low
+    b = LANES + j
+    low = lane.low
     least = min(s.x[0, j], s.x[0, b])
     if not (low > 0.0 and least > 0.0 and lane.mass < _LIGHT and s.spring[j] == s.spring[b]):
         return False
@@ -330,7 +359,8 @@ def no_later_peak(s, j):
     it is.
     """
     lane = s.lane[j]
-    wanted, slack = s.wanted, 1.0 + 0.1 * s.error[j]
+    wanted = s.wanted
+    slack = 1.0 + 0.1 * s.error[j]
     if wanted & tracked.WANT_CONTACT or (lane.steady > 0.0 and wanted & OF_BOTH):
         return False
     if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
@@ -339,7 +369,8 @@ def no_later_peak(s, j):
         return False
     if not wanted & OF_BOTH:
         return True
-    energy, stiffest = 0.5 * lane.mass * s.u[0, j] ** 2, 0.0
+    energy = 0.5 * lane.mass * s.u[0, j] ** 2
+    stiffest = 0.0
     for m in range(j, PAIR, LANES):
         energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
         stiffest = max(stiffest, s.spring[m])
@@ -364,7 +395,8 @@ def note_duration(s, j, left):
     lane = s.lane[j]
     if s.wanted & tracked.WANT_DURATION and not lane.peak[MEAN] <= lane.counted_peak:
         lane.duration = (lane.impulse + left) / lane.peak[MEAN]
-        lane.counted, lane.counted_peak = lane.time, lane.peak[MEAN]
+        lane.counted = lane.time
+        lane.counted_peak = lane.peak[MEAN]
 
 
 @compiled
@@ -374,11 +406,21 @@ def begin(s, j):
     for kind in range(KINDS):
         lane.peak[kind] = 0.0
     for face in range(2):
-        lane.x_first[face], lane.other[face], lane.carried[face] = 0.0, 0.0, 0.0
-    lane.lost, lane.ended, lane.parted, lane.duration = math.nan, math.nan, math.nan, math.nan
-    lane.grazed, lane.blur = math.nan, 0.0
-    lane.unloadings, lane.touches, lane.chatter, lane.impulse = 0.0, 0.0, 0.0, 0.0
-    lane.counted, lane.counted_peak = 0.0, 0.0
+        lane.x_first[face] = 0.0
+        lane.other[face] = 0.0
+        lane.carried[face] = 0.0
+    lane.lost = math.nan
+    lane.ended = math.nan
+    lane.parted = math.nan
+    lane.duration = math.nan
+    lane.grazed = math.nan
+    lane.blur = 0.0
+    lane.unloadings = 0.0
+    lane.touches = 0.0
+    lane.chatter = 0.0
+    lane.impulse = 0.0
+    lane.counted = 0.0
+    lane.counted_peak = 0.0
 
 
 @compiled
@@ -391,19 +433,22 @@ def finish(s, j, made, out):
         out[tracked.ANSWER_FACES + face] = (
             largest_approach(s, face * LANES + j) if s.has_laws else lane.peak[0]
         )
-        out[tracked.ANSWER_FIRSTS + face], out[tracked.ANSWER_OTHERS + face] = (
-            lane.x_first[of],
-            other,
-        )
-    out[tracked.ANSWER_UNLOADINGS], out[tracked.ANSWER_TOUCHES] = lane.unloadings, lane.chatter
+        out[tracked.ANSWER_FIRSTS + face] = lane.x_first[of]
+        out[tracked.ANSWER_OTHERS + face] = other
+    out[tracked.ANSWER_UNLOADINGS] = lane.unloadings
+    out[tracked.ANSWER_TOUCHES] = lane.chatter
     out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
     out[tracked.ANSWER_X_FIRST] = max(lane.x_first[0], lane.x_first[1])
-    out[tracked.ANSWER_END], out[tracked.ANSWER_DURATION] = lane.ended, lane.duration
+    out[tracked.ANSWER_END] = lane.ended
+    out[tracked.ANSWER_DURATION] = lane.duration
     out[tracked.ANSWER_COUNTED] = lane.counted
-    out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = lane.ended, 1.0
+    out[tracked.ANSWER_CONTACT] = lane.ended
+    out[tracked.ANSWER_CONTACT_CENSORED] = 1.0
     if not math.isnan(lane.lost):
-        out[tracked.ANSWER_CONTACT], out[tracked.ANSWER_CONTACT_CENSORED] = lane.lost, 0.0
-    out[tracked.ANSWER_GRAZED], out[tracked.ANSWER_BLUR] = lane.grazed, lane.blur
+        out[tracked.ANSWER_CONTACT] = lane.lost
+        out[tracked.ANSWER_CONTACT_CENSORED] = 0.0
+    out[tracked.ANSWER_GRAZED] = lane.grazed
+    out[tracked.ANSWER_BLUR] = lane.blur
     out[tracked.ANSWER_PARTING] = lane.ended
     if not math.isnan(lane.parted):
         out[tracked.ANSWER_PARTING] = lane.parted
@@ -411,23 +456,21 @@ def finish(s, j, made, out):
         if s.wanted & (1 << (kind - 1)):
             out[_ANSWER_OF[kind]] = lane.peak[kind]
     if s.wanted & tracked.WANT_CARRIED:
-        out[tracked.ANSWER_CARRIED], out[tracked.ANSWER_CARRIED + 1] = (
-            lane.carried[0],
-            lane.carried[1],
-        )
+        out[tracked.ANSWER_CARRIED] = lane.carried[0]
+        out[tracked.ANSWER_CARRIED + 1] = lane.carried[1]
     if s.wanted & tracked.WANT_RISE:
-        top, power = out[tracked.ANSWER_X_MAX], 2.0 / 3.0
+        top = out[tracked.ANSWER_X_MAX]
+        power = 2.0 / 3.0
         if s.has_laws:
             top = largest_force(s, j)
         if s.has_laws or s.mode == LINEAR:
             power = 1.0
-        tenth, nine = (
-            first_at(s, j, made, top * 0.1**power),
-            first_at(s, j, made, top * 0.9**power),
-        )
+        tenth = first_at(s, j, made, top * 0.1**power)
+        nine = first_at(s, j, made, top * 0.9**power)
         out[tracked.ANSWER_RISE] = nine - tenth
     out[tracked.ANSWER_SPEED] = s.u[0, j]
-    out[tracked.ANSWER_SPEEDS], out[tracked.ANSWER_SPEEDS + 1] = s.free[0, j], -s.free[0, LANES + j]
+    out[tracked.ANSWER_SPEEDS] = s.free[0, j]
+    out[tracked.ANSWER_SPEEDS + 1] = -s.free[0, LANES + j]
 
 
 #: columns of the answers that largest values go to

@@ -123,7 +123,8 @@ class Motion:
         """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before
         first touch.
         """
-        scales, row = self.scene.scales, self.row
+        scales = self.scene.scales
+        row = self.row
         units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
         return np.asarray(self._at(self.states, times) * units)
 
@@ -223,7 +224,8 @@ def _laws(scene: Scene, rows: Places) -> Array:
         )[rows]
         laws[:, tracked.LAW_SHARE, pole] = partner.share[rows]
         if face is not None:
-            own, b = face.own[rows], face.softening[rows]
+            own = face.own[rows]
+            b = face.softening[rows]
             laws[own, tracked.LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[
                 rows
             ][own]
@@ -238,7 +240,8 @@ def _poles(scene: Scene, rows: Places) -> Array:
     """
     if scene.by_wave:
         return np.zeros((len(rows), 0, 2))
-    scales, poles = scene.scales, np.zeros((len(rows), tracked.POLES, 2))
+    scales = scene.scales
+    poles = np.zeros((len(rows), tracked.POLES, 2))
     for pole, partner in enumerate(scene.partners):
         if partner is not None:
             poles[:, tracked.POLE_GIVES, pole] = (
@@ -289,28 +292,33 @@ def march_rows(
     if wanted & tracked.WANT_DIFFERENCE:
         share = _LOCAL_DIFFERENCE
     finite = bool(np.isfinite(arguments["horizon"]).all())
-    rigged, has_laws = arguments["poles"].shape[1] > 0, arguments["laws"].shape[1] > 0
+    rigged = arguments["poles"].shape[1] > 0
+    has_laws = arguments["laws"].shape[1] > 0
     if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
         share = min(share, _LOCAL_TAIL)
     if finite and not rigged:
         yielded = _LOCAL_YIELDED
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
-    local, power = share * tolerance, 2.0 / 3.0
+    local = share * tolerance
+    power = 2.0 / 3.0
     if mode != MODES["full"]:
         local *= 0.1
     if mode == MODES["linear"]:
         power = 1.0
     keep = wanted & tracked.WANT_MOTION != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
-    n, columns = len(arguments["mass"]), dict(arguments)
+    n = len(arguments["mass"])
+    columns = dict(arguments)
     if not has_laws:
-        columns["laws"], wanted = tracked.elastic_faces(n), wanted & ~tracked.WANT_SHARE
+        columns["laws"] = tracked.elastic_faces(n)
+        wanted = wanted & ~tracked.WANT_SHARE
     if not rigged:
         columns["poles"] = tracked.two_bars(n)
     rows = Rows(**columns)
     out = Answers(empty_answers(n), np.zeros(n, np.int64), np.zeros(n, np.int64))
-    order, paths = np.arange(n), dict[int, tuple[Array, Array, Array]]()
+    order = np.arange(n)
+    paths = dict[int, tuple[Array, Array, Array]]()
     settings = {
         "mode": mode,
         "wanted": wanted,
@@ -369,7 +377,8 @@ def integrate(
     rows = np.flatnonzero(found.status == 0)
     if len(rows) == 0:
         return found
-    wanted, mode = wishes(quantities, scene.demands), MODES[fidelity]
+    wanted = wishes(quantities, scene.demands)
+    mode = MODES[fidelity]
     arguments = scaled_arguments(scene, rows)
 
     def run(block: slice) -> None:
@@ -378,11 +387,9 @@ def integrate(
         part = look_closer(
             given, mode, tolerance, wanted=wanted, stop_at_loss=not scene.whole_record
         )
-        found.answers[here], found.status[here], found.steps[here] = (
-            part.answers,
-            part.status,
-            part.steps,
-        )
+        found.answers[here] = part.answers
+        found.status[here] = part.status
+        found.steps[here] = part.steps
 
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(rows), _BLOCK)]
     workers = min(thread_count(threads), len(blocks))
@@ -438,7 +445,8 @@ def motions(
         found = march_rows(
             given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss
         )
-        own, ends = given["laws"].shape[1] > 0, found.answers[:, tracked.ANSWER_END].tolist()
+        own = given["laws"].shape[1] > 0
+        ends = found.answers[:, tracked.ANSWER_END].tolist()
         return [
             Motion(
                 scene=scene,
@@ -588,31 +596,31 @@ def look_closer(
     from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
     differs by as much between the two finest tolerances that it has room for.
     """
-    n, ends_at_loss = len(arguments["mass"]), stop_at_loss and arguments["poles"].shape[1] == 0
+    n = len(arguments["mass"])
+    ends_at_loss = stop_at_loss and arguments["poles"].shape[1] == 0
     timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
     found = march_rows(
         arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
     )
-    answers, status, steps = found.answers, found.status, found.steps
-    closest, doubt, strict = (
-        np.full(n, tolerance),
-        np.zeros(n, dtype=bool),
-        wanted & tracked.WANT_CONTACT != 0,
-    )
+    answers = found.answers
+    status = found.status
+    steps = found.steps
+    closest = np.full(n, tolerance)
+    doubt = np.zeros(n, dtype=bool)
+    strict = wanted & tracked.WANT_CONTACT != 0
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
     many = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
     unsettled = many.copy()
-    counted, compared = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    counted = np.zeros(n, dtype=bool)
+    compared = np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
         counted = (status == tracked.OK) & _counts_on(answers)
     columns = [column for column, wish in _COMPARED if not wish or wanted & wish]
     while True:
         if timed:
-            lost, grazed = (
-                np.nan_to_num(answers[:, tracked.ANSWER_CONTACT]),
-                answers[:, tracked.ANSWER_GRAZED],
-            )
+            lost = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT])
+            grazed = answers[:, tracked.ANSWER_GRAZED]
             blur = answers[:, tracked.ANSWER_BLUR] * np.where(
                 (closest == tolerance) & strict, _FIRST_LOOK, 1.0
             )
@@ -622,7 +630,8 @@ def look_closer(
         if not again.any():
             break
         for each in np.unique(closest[again]):
-            picked, closer = np.flatnonzero(again & (closest == each)), max(_CLOSER * each, _FINEST)
+            picked = np.flatnonzero(again & (closest == each))
+            closer = max(_CLOSER * each, _FINEST)
             some = {name: column[picked] for name, column in arguments.items()}
             look = march_rows(
                 some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
@@ -635,7 +644,8 @@ def look_closer(
             compared[picked] = True
             unsettled[picked] = many[picked] & (~done | differs[:, columns].any(axis=1))
             counted[picked] &= ~done | differs[:, tracked.ANSWER_DURATION]
-            answers[picked[done]], steps[picked[done]] = look.answers[done], look.steps[done]
+            answers[picked[done]] = look.answers[done]
+            steps[picked[done]] = look.steps[done]
             closest[picked[~done]] = _FINEST
     answers[:, tracked.ANSWER_GRAZED] = np.where(unsettled, 2.0, doubt | counted)
     return replace(found, answers=answers)
