@@ -255,7 +255,7 @@ class Table:
         for names in (self.headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
-        names = [*self.headings, *bare]
+        names = self.headings + bare
         often = "twice or more"
         hint = ""
         if column not in names:
@@ -277,11 +277,11 @@ class Table:
             f"the column {column!r} is {often} in {self.name!r}, which has {headings}{hint}", key
         )
 
-    def unit_of(self, column: str | int, dimension: str) -> str | None:
+    def unit_of(self, column: str, dimension: str) -> str | None:
         """The unit of a dimension in the heading of a column."""
         return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
 
-    def texts(self, column: str | int, key: str = "") -> list[str]:
+    def texts(self, column: str, key: str = "") -> list[str]:
         """Cells of a column."""
         at = self.place(column, key=key)
         return [row[at] for row in self.rows]
@@ -479,12 +479,13 @@ class Table:
             step = steps[:, k]
             apart = self.lines[k] in self.apart
             sd = above.std(axis=1, ddof=1)
-            sums = {"mean": above.mean(axis=1), "sd": sd}
-            for name in ("sum", *(("median", "min", "max") if apart else ())):
-                sums[name] = getattr(np, name)(above, axis=1)
+            names = ["mean", "sum"]
+            if apart:
+                names += ["median", "min", "max"]
+            sums = {name: getattr(np, name)(above, axis=1) for name in names}
             fine = len(columns) == 1 and k >= rows - 2 and steps[0].min() <= 0.02 * sd[0]
             least = 1 if apart or fine else max(2, len(columns) - 1)
-            for name, total in sums.items():
+            for name, total in {**sums, "sd": sd}.items():
                 alike = np.abs(values[:, k] - total) <= 0.51 * step
                 if (alike & (total != 0.0) & (step <= sd)).sum() >= least:
                     self.notes.append(

@@ -1,7 +1,5 @@
 """A model of the user's own: load it, call it for many rows at once, and check what it returns."""
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import sys
@@ -10,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -52,16 +50,14 @@ class ModelFile:
             raise ModelError(
                 f"{path} raised {describe_error(error)} while it was loaded"
             ) from error
-        members = vars(module)
-        if not callable(members.get(self.name)):
-            functions = [
-                key for key in members if key[0] != "_" and inspect.isfunction(members[key])
-            ]
+        function = getattr(module, self.name, None)
+        if not callable(function):
+            members = vars(module).items()
+            names = [key for key, member in members if key[0] != "_" and inspect.isfunction(member)]
             raise UsageError(
-                f"{path} has no function {self.name!r}; its functions: "
-                f"{', '.join(functions) or 'none'}"
+                f"{path} has no function {self.name!r}; its functions: {', '.join(names) or 'none'}"
             )
-        return members[self.name]  # type: ignore[no-any-return]
+        return cast(BlackBox, function)
 
 
 def read_model(reference: str) -> ModelFile:
@@ -119,7 +115,7 @@ def call_black_box(
     Raises ModelRaised with what the model raised, and where; ModelError if it returned something of
     the wrong form.
     """
-    columns = {name: rows[:, k].copy() for k, name in enumerate(names)}
+    columns = dict(zip(names, rows.T.copy(), strict=True))
     try:
         with np.errstate():  # what it sets of NumPy's errors is set back
             returned = box(columns)

@@ -6,8 +6,6 @@ stored.  A file that is no database, or cannot be written, ends the run with an 
 stored by then is there for the next.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import sqlite3

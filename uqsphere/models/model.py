@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -109,9 +109,10 @@ class Model:
         self.workers = Workers(
             (box, self.inputs, self.outputs), self.executor, study.analysis.time_limit
         )
-        identity = identity_of(box) if self.cache_file is not None else b""
-        if identity:
-            self._cache = Cache(cast(Path, self.cache_file), identity, self.inputs, self.outputs)
+        if self.cache_file is not None:
+            identity = identity_of(box)
+            if identity:
+                self._cache = Cache(self.cache_file, identity, self.inputs, self.outputs)
 
     def __enter__(self) -> Self:
         return self
@@ -171,22 +172,21 @@ class Model:
             most = 2
         if most > self._compared:
             self._compared = most
-            for row in np.unique([*good[:1], *good[-1:]])[:most].tolist():
-                block = rows[row : row + 1]
-                if self._differs_by_itself(names, block, answers.values[row], columns):
+            for k in np.unique([*good[:1], *good[-1:]])[:most].tolist():
+                if self._differs_by_itself(names, rows[k : k + 1], answers.values[k], columns):
                     break
         return answers
 
     @property
     def notes(self) -> list[str]:
         """What a user should know about the answers."""
-        if self._cache is None or not self._cache.damaged:
-            return self._notes
-        return [
-            *self._notes,
-            f"damaged records in {as_text(self._cache.path.name)}: {self._cache.damaged} stored "
-            "answers did not match their checksums and were computed again",
-        ]
+        notes = [*self._notes]
+        if self._cache is not None and self._cache.damaged:
+            notes.append(
+                f"damaged records in {as_text(self._cache.path.name)}: {self._cache.damaged} "
+                "stored answers did not match their checksums and were computed again"
+            )
+        return notes
 
     def _differs_by_itself(
         self, names: Sequence[str], row: Array, answer: Array, columns: Sequence[str]
@@ -215,16 +215,16 @@ class Model:
         """Answers of the impact model, in blocks: what is in work stays small, and `stop` is
         checked between two.
         """
+        answer = partial(evaluate_scene, self.study, names, columns=columns, threads=self.threads)
         if not self.calls and len(rows):
             announce_compilation()
-            # the kernel is compiled, or loaded, before anything is timed
-            evaluate_scene(self.study, names, rows[:1], columns, threads=self.threads)
+            answer(rows[:1])  # the kernel is compiled, or loaded, before anything is timed
         parts = []
         for start in range(0, max(len(rows), 1), LARGEST_CALL):
             self.check_stop()
             block = rows[start : start + LARGEST_CALL]
             began = time.perf_counter()
-            parts.append(evaluate_scene(self.study, names, block, columns, threads=self.threads))
+            parts.append(answer(block))
             self.add_call(time.perf_counter() - began, len(block))
             if self.progress is not None:
                 self.progress(start + len(block), len(rows))
@@ -288,9 +288,8 @@ class Model:
         """Have as many processes as rows are worth: a function begins in this process, a file in
         one of its own. Nothing may be running."""
         limit = self.study.analysis.time_limit
-        worth = limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH
-        count = 0 if callable(self.model) else 1
-        if worth:
+        count = int(not callable(self.model))
+        if limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH:
             count = self._processes
         if self.workers.count < count:
             try:

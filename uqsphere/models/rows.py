@@ -1,7 +1,5 @@
 """Rows of answers, and the states that a row can be in."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

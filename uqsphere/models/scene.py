@@ -65,7 +65,7 @@ def paper_lines(study: Study) -> tuple[PaperLine, ...]:
         return ()
     from uqsphere.mechanics.as_printed import compare_with_paper, paper_line
 
-    return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {}, 1)))
+    return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {})))
 
 
 def scene_at(study: Study, names: Sequence[str], rows: Array) -> Scene:
@@ -78,17 +78,12 @@ def _library_onset(study: Study) -> dict[str, float]:
     for elastic.
     """
     given = {**study.fixed, **study.random}
-    if (
-        "sphere" not in study.materials
-        or "sphere.onset_pressure" in given
-        or "contact.law" in study.options
-    ):
-        return {}
-    properties = library()["sphere"][study.materials["sphere"]].properties
     names = ("onset_pressure", "hardness")
-    if not properties.keys() >= {*names}:
+    material = library()["sphere"].get(study.materials.get("sphere", ""))
+    decided = "sphere.onset_pressure" in given or "contact.law" in study.options
+    if decided or material is None or not material.properties.keys() >= {*names}:
         return {}
-    return {f"sphere.{name}": properties[name].value for name in names}
+    return {f"sphere.{name}": material.properties[name].value for name in names}
 
 
 def solve_scene(
@@ -223,14 +218,13 @@ def checked_rows(
 
 def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:
     """The pressure that no face exceeds, the largest of the faces' hardness, (n,) [Pa]; None where
-    no face yields.
+    one does not yield.
     """
     faces = [partner.face for partner in scene_at(study, names, rows).there]
     hardness = [face.hardness for face in faces if face is not None]
-    if not faces or len(hardness) < len(faces):
+    if len(hardness) < len(faces):
         return None
-    highest: Array = np.maximum.reduce(hardness)
-    return highest
+    return np.asarray(np.maximum.reduce(hardness))
 
 
 def onset_of(study: Study) -> float | None:
@@ -241,7 +235,7 @@ def onset_of(study: Study) -> float | None:
 
     if study.black_box:
         return None
-    scene = scene_of(study, {}, 1)
+    scene = scene_of(study, {})
     onsets = [float(law_of(scene.columns, partner.body).onset[0]) for partner in scene.there]
     return min(filter(math.isfinite, onsets), default=None)
 

@@ -2,8 +2,6 @@
 of the user.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pickle

@@ -31,7 +31,7 @@ from uqsphere.documents import (
     unknown,
     within,
 )
-from uqsphere.errors import AccessError, UsageError
+from uqsphere.errors import UqsphereError
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
 from uqsphere.quantities import INPUTS, format_bounds, format_value, plain_quantity
@@ -356,16 +356,11 @@ class Observations(TomlTable):
 
 
 @contextmanager
-def opened(
-    name: str,
-    draft: Draft,
-    key: str = "file",
-    decimal: str | None = None,
-    sheet: str | None = None,
-) -> Iterator[Table]:
-    """The table of a file in the study's folder; at the end all faults that were noted of it are
-    one Fault.
+def opened(table: Observations | PulseTable, draft: Draft, key: str = "file") -> Iterator[Table]:
+    """The table of a file in the study's folder, which a key names; at the end all faults that were
+    noted of it are one Fault.
     """
+    name = str(getattr(table, key))
     home = draft.folder.resolve()
     relative = Path(name)
     if not name.isprintable():
@@ -388,14 +383,15 @@ def opened(
             near = suggestion(name, [item.name for item in home.glob("*") if item.exists()])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
         draft.files[relative.as_posix()] = path
-        table = read_table(path, decimal=decimal or "", sheet=sheet or "")
-        yield table
-        table.finish()
+        decimal = getattr(table, "decimal", None) or ""
+        cells = read_table(path, decimal=decimal, sheet=table.sheet or "")
+        yield cells
+        cells.finish()
     except TableError as fault:
         raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
     except Fault:
         raise
-    except (AccessError, UsageError, OSError, RuntimeError, ValueError):
+    except (UqsphereError, OSError, RuntimeError, ValueError):
         raise Fault(f"{shown(name)} cannot be read as a file", key) from None
 
 
@@ -436,7 +432,7 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
             return Number(value=discrete_law(values, weighted.weights))
     table = declared(Observations, raw)
     if table.draws is not None:
-        return _drawn(table.draws, table, quantity, draft)
+        return _drawn(table, quantity, draft)
     if is_tests(raw):
         raise Fault(
             "forces at failure are used only for the strength of a limit of the impact model",
@@ -468,10 +464,10 @@ _DRAWN = {
 }
 
 
-def _drawn(name: str, table: Observations, quantity: Quantity, draft: Draft) -> Number:
+def _drawn(table: Observations, quantity: Quantity, draft: Draft) -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
     columns = {}
-    with opened(name, draft, "draws", table.decimal, table.sheet) as cells:
+    with opened(table, draft, "draws") as cells:
         kinds = cells.flags("distribution", "draws", _KINDS, one_of(_KINDS))
         for key, its_dimension in _DRAWN.items():
             dimension = its_dimension or quantity.dimension
@@ -513,7 +509,7 @@ def observations(
         if getattr(table, key) is None and key in _EXAMPLES:
             raise Fault(f'{key} is missing. Add it, for example {key} = "{_EXAMPLES[key]}"')
     columns = {}
-    with opened(str(table.file), draft, "file", table.decimal, table.sheet) as cells:
+    with opened(table, draft) as cells:
         for key, dimension in dimensions.items():
             name = getattr(table, key)
             unit = getattr(table, f"{key}_unit", table.unit)
@@ -548,7 +544,7 @@ def fit(
     """The law of some observations; raises Fault.  `slope`: they are forces to this power, which
     have the modulus.
     """
-    modulus = None if table.modulus is None else table.modulus / slope
+    modulus = table.modulus
     if modulus is None and (len(data) < 2 or stopped.all()):
         reason = f"all {len(data)} tests are right-censored"
         if len(data) < 2:
@@ -562,6 +558,7 @@ def fit(
         failures = data[~stopped].tolist()
         censored = data[stopped].tolist()
         if modulus is not None:
+            modulus /= slope
             return law_of_known_modulus(failures, kind, censored=censored, modulus=modulus)
         return fitted_law(failures, kind, *bounds, censored=censored, unbiased=table.unbiased)
 
@@ -608,7 +605,7 @@ def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
     """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the
     lab's.
     """
-    with opened(str(table.file), draft, sheet=table.sheet) as cells:
+    with opened(table, draft) as cells:
         columns = table.columns or tuple(cells.headings[:2])
         if len(columns) != 2:
             raise Fault(
@@ -617,9 +614,7 @@ def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
                 "columns",
             )
         time_unit, unit = table.units or (None, None)
-        volts = unit in UNITS["voltage"] or (
-            unit is None and cells.unit_of(columns[1], "voltage") is not None
-        )
+        volts = (unit or cells.unit_of(columns[1], "voltage")) in UNITS["voltage"]
         time = cells.numbers(columns[0], "time", time_unit)
         dimension = "voltage" if volts else "strain"
         strain = (table.factor or 1.0) * cells.numbers(columns[1], dimension, unit)
