@@ -3,7 +3,6 @@ out.
 """
 
 import codecs
-import json
 import re
 import tomllib
 from collections import Counter
@@ -17,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from uqsphere.errors import Problem, StudyError, UsageError, as_text
 from uqsphere.files import packaged, read_given
-from uqsphere.units import alien, bare_number
+from uqsphere.units import alien, shown
 
 Place = tuple[str | int, ...]
 #: words in files that users bring, and what is said of them
@@ -70,27 +69,6 @@ def path_of(place: Place) -> str:
     for part in place:
         path += f"[{part}]" if isinstance(part, int) else f".{part}"
     return path.removeprefix(".")
-
-
-#: larger whole numbers are not written out
-_LARGEST_SHOWN = 10**60
-
-
-def shown(value: object, longest: int = 60) -> str:
-    """A value of a file as its message shows it."""
-    if isinstance(value, Mapping):
-        return "a table"
-    if isinstance(value, list | tuple):
-        return "an array"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int) and abs(value) > _LARGEST_SHOWN:
-        return f"a whole number of {len(f'{abs(value):x}'):,} hexadecimal digits"
-    if isinstance(value, int | float):
-        return bare_number(value)
-    if isinstance(value, str):
-        return json.dumps(as_text(value, longest), ensure_ascii=False)
-    return f"a {type(value).__name__}"
 
 
 def one_of(words: Iterable[str]) -> str:

@@ -3,13 +3,16 @@
 All values inside the code are in SI.
 """
 
+import json
 import math
 import re
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from uqsphere.arrays import Values
+from uqsphere.errors import as_text
 from uqsphere.files import packaged
 
 
@@ -116,17 +119,11 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
     with_unit = " with a unit"
     such = f'"1.5 {example}"'
     if dimension == "number":
+        table = {"": 1.0, "%": 0.01}
         with_unit = ""
         such = "0.25"
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
-        names: dict[type, str] = {
-            bool: "a boolean",
-            list: "an array",
-            dict: "a table",
-            type(None): "nothing",
-        }
-        kind = names.get(type(text), f"a {type(text).__name__}")
-        raise UnitError(f"must be a number{with_unit}, not {kind}")
+        raise UnitError(f"must be a number{with_unit}, not {shown(text)}")
     if isinstance(text, (int, float)):
         if dimension != "number":
             bare = bare_number(text)
@@ -152,7 +149,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         raise UnitError(
             f"{text!r} is not a number{with_unit}{alien(text)}. Write, for example, {such}"
         )
-    number = match.group()
+    number = match[0]
     unit = stripped[match.end() :].strip()
     if _RANGE.match(unit):
         raise UnitError(
@@ -161,11 +158,9 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         )
     if unit.startswith(",") and unit[1:2].isdigit():
         raise UnitError(f'{text!r} has a decimal comma. Write "{stripped.replace(",", ".", 1)}"')
-    if dimension == "number":
-        if unit not in ("", "%"):
-            raise UnitError(f"must be a plain number, without the unit {unit!r}, not {text!r}")
-        return _finite(float(number) * (0.01 if unit else 1.0), text)
     if unit not in table:
+        if dimension == "number":
+            raise UnitError(f"must be a plain number, without the unit {unit!r}, not {text!r}")
         if not unit:
             raise UnitError(f'{text!r} has no unit. Write "{number} {example}" (units: {allowed})')
         if unit == "rpm" and dimension == "speed":
@@ -246,6 +241,27 @@ def bare_number(value: float) -> str:
             if float(text) == value:
                 return text
     return repr(value).removesuffix(".0")
+
+
+#: larger whole numbers are not written out
+_LARGEST_SHOWN = 10**60
+
+
+def shown(value: object, longest: int = 60) -> str:
+    """A value of a file as its message shows it."""
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return "an array"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int) and abs(value) > _LARGEST_SHOWN:
+        return f"a whole number of {len(f'{abs(value):x}'):,} hexadecimal digits"
+    if isinstance(value, int | float):
+        return bare_number(value)
+    if isinstance(value, str):
+        return json.dumps(as_text(value, longest), ensure_ascii=False)
+    return f"a {type(value).__name__}"
 
 
 def _finite(value: float, text: str) -> float:

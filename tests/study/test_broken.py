@@ -162,7 +162,7 @@ CASES = [
     ),
     one("a unit of something else", '"40 mm"', '"40 GPa"', "unknown unit 'GPa' for a length", "mm"),
     one("a unit where none is due", "nu = 0.25", 'nu = "0.25 m"', "plain number", "the unit 'm'"),
-    one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "not a boolean"),
+    one("a boolean for a number", "nu = 0.25", "nu = true", "sphere.nu", "not true"),
     one(
         "an array for a number",
         '"40 mm"',

@@ -117,7 +117,7 @@ def test_a_radius_in_m_is_asked_about_before_the_bar(tmp_path: Path) -> None:
         ("0", 'such as 0.02 or "2 %", not 0', ""),
         ('"200 %"', 'such as 0.02 or "2 %", not "200 %"', ""),
         ('"1,5 %"', "has a decimal comma", ""),
-        ("true", "must be a number, not a boolean", ""),
+        ("true", "must be a number, not true", ""),
     ],
 )
 @pytest.mark.parametrize(

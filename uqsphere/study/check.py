@@ -16,17 +16,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from uqsphere.documents import (
-    Fault,
-    Place,
-    faults_of,
-    one_of,
-    path_of,
-    shown,
-    suggestion,
-    unknown,
-    within,
-)
+from uqsphere.documents import Fault, Place, faults_of, one_of, path_of, suggestion, unknown, within
 from uqsphere.errors import as_text
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics import forms
@@ -40,6 +30,7 @@ from uqsphere.study.limits import compare_sizes, parameters_of, read_limit
 from uqsphere.study.plausibility import warn_of_slips
 from uqsphere.study.study import Study, default_target, scene_with, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
+from uqsphere.units import shown
 from uqsphere.uq import Dependence, Law, LawError, make_joint
 
 Faults = Iterator[Fault]

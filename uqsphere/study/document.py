@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic import model_validator as checked
 
-from uqsphere.documents import Fault, Place, TomlTable, shown, table_in
+from uqsphere.documents import Fault, Place, TomlTable, table_in
 from uqsphere.materials import Property
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
@@ -41,7 +41,7 @@ from uqsphere.study.values import (
     numbers_of,
     value_of,
 )
-from uqsphere.units import UNITS, Quantity
+from uqsphere.units import UNITS, Quantity, shown
 from uqsphere.uq.families import FAMILIES
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.documents import Fault, Place, declared, one_of, shown, suggestion, unknown, within
+from uqsphere.documents import Fault, Place, declared, one_of, suggestion, unknown, within
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
@@ -22,7 +22,7 @@ from uqsphere.study.document import Draft, LimitTable
 from uqsphere.study.study import DEFAULT_TARGET, Limit
 from uqsphere.study.values import Number, Observations, Tested, number_of, value_of
 from uqsphere.tables import Table
-from uqsphere.units import UNITS
+from uqsphere.units import UNITS, shown
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
 
@@ -163,7 +163,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         parameters=parameters,
         strength=math.nan,
         aim=table.aim,
-        target=DEFAULT_TARGET if table.target is None else table.target,
+        target=table.target or DEFAULT_TARGET,
         has_target=table.target is not None,
         fracture=table.fracture,
     )

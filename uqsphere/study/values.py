@@ -26,7 +26,6 @@ from uqsphere.documents import (
     TomlTable,
     declared,
     one_of,
-    shown,
     suggestion,
     unknown,
     within,
@@ -36,7 +35,7 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
 from uqsphere.quantities import INPUTS, format_bounds, format_value, plain_quantity
 from uqsphere.tables import Table, TableError, read_table, unit_in_heading
-from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value
+from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value, shown
 from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 from uqsphere.uq.fitting import (
