@@ -27,13 +27,12 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, frozen, special
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points, tails
@@ -319,7 +318,7 @@ def _shown(e: Estimate) -> str:
     return f"{text} ({e.low:.4g} to {e.high:.4g})"
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Failure:
     """The probability that the limit function is negative.
 
@@ -410,7 +409,7 @@ def failure_probability(
             values = _called(limit, dict(zip(laws.names, laws.physical(z).T.copy(), strict=True)))
             if on_failure == "refuse" and np.isnan(values).any():
                 raise UsageError(
-                    f"the limit function is nan at {int(np.isnan(values).sum())} of {len(z)} points"
+                    f"the limit function is nan at {np.isnan(values).sum()} of {len(z)} points"
                 )
             return values
 
@@ -427,7 +426,7 @@ def failure_probability(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Fragility:
     """A fragility curve: `curve` (K, 4) of level, probability and its ends; `values` are the levels
     at 5, 50 and 95 %.

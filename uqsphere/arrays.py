@@ -1,7 +1,10 @@
-"""Names of array types, and special functions loaded when they are called."""
+"""Names of array types, the dataclasses of this package, and special functions loaded when they are
+called.
+"""
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +16,19 @@ Places: TypeAlias = npt.NDArray[np.int64]
 Values: TypeAlias = Any
 #: numbers or flags of any kind, plain or in named columns
 Cells: TypeAlias = npt.NDArray[Any]
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def frozen(kind: type | None = None, **options: bool) -> Any:
+    """A dataclass that does not change, whose fields are given by name: what this package hands on.
+
+    >>> @frozen
+    ... class Point:
+    ...     x: float = 0.0
+    >>> Point(x=1.0)
+    Point(x=1.0)
+    """
+    return dataclass(kind, frozen=True, kw_only=True, **options)
 
 
 class _Special:

@@ -74,7 +74,7 @@ def main(argv: Sequence[str]) -> int:
     """Run a command; returns its exit code."""
     if argv and argv[0] in LABS and _labs_installed():
         command = import_module(f"uqsphere.labs.{argv[0]}.cli").main
-        return _guarded(lambda: int(command(list(argv[1:]))))
+        return _guarded(lambda: command(argv[1:]))
     parser = _parser()
     if "_ARGCOMPLETE" in os.environ:  # set by the shell that asks for completions
         with contextlib.suppress(ImportError):

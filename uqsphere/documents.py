@@ -85,7 +85,7 @@ def one_of(words: Iterable[str]) -> str:
 
 def suggestion(word: object, known: Iterable[str]) -> str:
     """A hint at the known word that was likely meant."""
-    for near in get_close_matches(str(word)[:80], list(known), n=1):
+    for near in get_close_matches(str(word)[:80], known, n=1):
         return f"; did you mean '{as_text(near)}'?"
     return ""
 

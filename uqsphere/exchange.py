@@ -12,11 +12,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from uqsphere.arrays import special
+from uqsphere.arrays import Array, special
 from uqsphere.study import Study
 from uqsphere.uq import Joint, random_generator, sobol_points
 
@@ -35,10 +33,10 @@ def _inputs(study: Study) -> Joint:
     return study.inputs().only(tuple(study.random))
 
 
-def _table(laws: Joint, normals: Any) -> DataFrame:
+def _table(laws: Joint, normals: Array) -> DataFrame:
     from pandas import DataFrame
 
-    return DataFrame(laws.physical(np.asarray(normals)), columns=list(laws.names))
+    return DataFrame(laws.physical(normals), columns=laws.names)
 
 
 def sample(study: Study, count: int) -> DataFrame:

@@ -1,9 +1,10 @@
 """The material library: typical values with their scatter and source, from ``materials.toml``."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 
+from uqsphere.arrays import frozen
 from uqsphere.files import Json, packaged
 from uqsphere.units import parse_value
 
@@ -34,7 +35,7 @@ FURTHER: dict[str, dict[str, str]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Property:
     """One value of a material.
 
@@ -54,7 +55,7 @@ class Property:
     further: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Material:
     """A material of the library; `rock`: its failure modes are assessed with library strengths."""
 

@@ -8,10 +8,9 @@ import math
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
-from uqsphere.arrays import Values
+from uqsphere.arrays import Values, frozen
 from uqsphere.errors import as_text
 from uqsphere.files import packaged
 
@@ -41,7 +40,7 @@ _RANGE = re.compile(r"[^\W\d]*\s*(?:[-–—…]|±|\+/?-|\.\.+|to\b)\s*\d")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Quantity:
     """One entry of the nomenclature: an input, or a quantity of interest.
 

@@ -178,7 +178,7 @@ def _by_label(array: Any, outputs: Sequence[str]) -> dict[str, Any]:
     raises ModelError without one.
     """
     for dimension in filter(array.coords.__contains__, array.dims):
-        labels = [str(label) for label in np.asarray(array.coords[dimension])]
+        labels = [*map(str, np.asarray(array.coords[dimension]))]
         if set(outputs) <= set(labels) and len(set(labels)) == len(labels):
             return {name: array.isel({dimension: labels.index(name)}) for name in outputs}
     raise ModelError(

@@ -101,7 +101,7 @@ def answer_rows(
                 try:
                     block, seconds = result(future)
                 except NoAnswer as failure:
-                    row = int(places[0])
+                    row = places[0]
                     if len(places) > 1:
                         again.extend(np.array_split(places, 2))
                         continue

@@ -32,7 +32,7 @@ _WORTH = 2.0
 #: less than more calls
 _QUICK = 1e-4
 #: relative difference at which half of the digits of a double agree
-_HALF_OF_THE_DIGITS = float(np.sqrt(np.finfo(float).eps))
+_HALF_OF_THE_DIGITS = np.finfo(float).eps ** 0.5
 
 
 @dataclass(eq=False)

@@ -1,11 +1,10 @@
 """Rows of answers, and the states that a row can be in."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags, Places, frozen
 
 #: status of a row that a black box has no answer to; 1 to 5 are those of the impact model
 FAILED = 6
@@ -27,7 +26,7 @@ class Died(NoAnswer):
     """The process that it ran in ended."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class EvaluatedRows:
     """Answers of n rows.
 

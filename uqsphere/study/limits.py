@@ -411,7 +411,7 @@ def _warn_of_slips(
     text = ""
     likely = list[str]()
     if slips.any():
-        first = int(np.argmax(slips))
+        first = np.argmax(slips)
         ratios = {
             key: columns[key][first] / np.median(columns[key]) for key in ("force", "diameter")
         }
@@ -419,7 +419,7 @@ def _warn_of_slips(
         text = f"line {cells.lines[rows[first]]}: the {key} is {ratios[key]:,.4g} times the median"
         tension[slips] = typical
     elif far.any():
-        first = int(np.argmax(far))
+        first = np.argmax(far)
         key = "diameter"
         text = (
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
+from uqsphere.arrays import frozen
 from uqsphere.documents import Place
 from uqsphere.materials import PROPERTIES, Material, library
 from uqsphere.mechanics.contact import reduced_modulus
@@ -68,7 +68,7 @@ def warn_of_slips(draft: Draft) -> None:
             _warn_of_strength(draft, limit, likes["sphere"])
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Like:
     """What a body is held against: one material of the library, or a class of them."""
 
@@ -176,7 +176,7 @@ def _warn_of_partners(draft: Draft, limit: Limit) -> None:
         return
     E = draft.mean("sphere.E")
     nu = draft.mean("sphere.nu")
-    tests = float(np.asarray(reduced_modulus(E, nu, *tested.platens)))
+    tests = float(reduced_modulus(E, nu, *tested.platens))
     rig = float(np.mean([partner.modulus[0] for partner in scene.there]))
     if abs(tests / rig - 1.0) > _STIFFER:
         text = (

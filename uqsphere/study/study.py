@@ -8,14 +8,14 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 DEFAULT_TARGET = 0.01
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Limit:
     """A strength that a quantity is held against; strength in SI, model_factor a plain number.
 
@@ -95,7 +95,7 @@ class Limit:
         return self.criterion is not None and "modulus" in CRITERIA[self.criterion].parameters
 
 
-@dataclass(frozen=True, kw_only=True, init=False, repr=False)
+@frozen(init=False, repr=False)
 class Study:
     """A validated study in SI units; files are read by `load_study`.
 

@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.arrays import Array, Flags, Places
+from uqsphere.arrays import Array, Flags, Places, frozen
 from uqsphere.documents import (
     WORDS,
     Fault,
@@ -65,7 +65,7 @@ _UNLIKELY = 0.01
 FARTHEST_SIZE = 1.5
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Tested:
     """Crushing tests of spheres behind a strength: what was measured, and the law of the force at
     failure.
@@ -91,7 +91,7 @@ class Tested:
         return max(diameter / max(sizes), min(sizes) / diameter, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Number:
     """A number in SI: value or law, whether its data are synthetic, tests behind it."""
 
@@ -228,8 +228,8 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
         )
     low = quantity.lower
     if quantity.closed:
-        low = float(np.nextafter(low, -np.inf))
-    outside = float(law.cdf(low) + law.sf(quantity.upper))
+        low = np.nextafter(low, -np.inf)
+    outside = law.cdf(low) + law.sf(quantity.upper)
     if outside > NOTABLE:
         effect = ""
         if name in INPUTS:
