@@ -6,6 +6,7 @@ accuracy.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -142,7 +143,7 @@ class History:
         """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]
         approach = contact.approach_at_force(force, self.hertz_constant)[:, None]
-        distance = np.atleast_1d(np.asarray(distance, dtype=float))
+        distance = np.array(distance, dtype=float, ndmin=1)
         return contact.pressure_over_contact(
             distance, approach, self.modulus, self.effective_radius
         )
@@ -187,10 +188,11 @@ def trace(
     states = course.states_at(times)
     forces = course.forces_at(times).T
     approaches, pressures = _pressed(course, states, forces)
-    incident = returning = leaving_a = leaving_b = np.zeros(len(times))
+    waves = list(np.zeros((4, len(times))))
     if scene.by_wave:
-        incident, returning = (arriving(course, bar, times, sides=sides) for bar in (0, 1))
-        leaving_a, leaving_b = (leaving(course, bar, times, sides=sides) for bar in (0, 1))
+        both = itertools.product((arriving, leaving), (0, 1))
+        waves = [wave(course, bar, times, sides=sides) for wave, bar in both]
+    incident, returning, leaving_a, leaving_b = waves
     names = ("mass_number", "pulse_number", "modulus", "effective_radius", "hertz_constant")
     numbers: dict[str, Any] = {name: float(getattr(scene.scales, name)[row]) for name in names}
     return History(
@@ -296,11 +298,8 @@ def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ..
     changes = []
     for face, name in enumerate("AB"):
         approach = states[:, face]
-        touched = np.flatnonzero(approach > _TOUCH * tolerance * np.abs(approach).max())
-        if len(touched) == 0:
-            continue
-        pressed = approach > 0.0
-        pressed[: touched[0]] = True
+        touched = approach > _TOUCH * tolerance * np.abs(approach).max()
+        pressed = (approach > 0.0) | ~np.maximum.accumulate(touched)
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
         times = _zeros(
             lambda times, of=face: course.states_at(times)[:, of],  # type: ignore[misc]
@@ -436,7 +435,7 @@ def view_field(history: History, *, places: int = 300, times: int = 380) -> Fiel
     In time it covers the evaluation window, and at least one round trip if waves are reflected.
     """
     course = history.motion
-    speed = history.motion.wave_speed
+    speed = course.wave_speed
     trips = [course.round_trip(bar) for bar in (0, 1)]
     echo = max((trip for bar, trip in enumerate(trips) if course.echoes(bar)), default=0.0)
     last = min(max(1.15 * history.record_end, 1.1 * echo), history.horizon)

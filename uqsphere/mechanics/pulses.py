@@ -91,9 +91,15 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     return levels[:, :used], complete
 
 
-def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
-    """Steps of equal width; the first rises over `rise`, later changes are centred over `fall`."""
-    levels, complete = striker_steps(ratio)
+def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array | None) -> Pulse:
+    """Steps of equal width, one without a ratio of impedances; the first rises over `rise`, later
+    changes are centred over `fall`.
+    """
+    levels = np.ones((len(duration), 1))
+    valid = duration > 0.0
+    if ratio is not None:
+        levels, complete = striker_steps(ratio)
+        valid &= complete & (duration - fall >= -1e-12 * duration)
     middle = 0.5 * rise
     end = middle + (levels > 0.0).sum(axis=1) * duration + 0.5 * fall
     breaks = [np.zeros_like(duration), rise]
@@ -103,9 +109,7 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array) -> Pulse:
         change = middle + k * duration
         breaks += [np.minimum(change - 0.5 * fall, end), np.minimum(change + 0.5 * fall, end)]
         pieces += [_line(duration, level, level), _line(fall, level, following)]
-    plateau = duration - 0.5 * (rise + fall)
-    roomy = (plateau >= -1e-12 * duration) & (duration - fall >= -1e-12 * duration)
-    valid = complete & roomy & (rise >= 0.0) & (fall >= 0.0) & (duration > 0.0)
+    valid &= (rise >= 0.0) & (fall >= 0.0) & (duration - 0.5 * (rise + fall) >= -1e-12 * duration)
     return _pieces(breaks, pieces, valid)
 
 
@@ -121,15 +125,7 @@ def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 
 def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
-    rise = numbers["rise"]
-    fall = numbers["fall"]
-    if "striker_ratio" in numbers:
-        return _stepped(duration, rise, fall, numbers["striker_ratio"])
-    plateau = duration - 0.5 * (rise + fall)
-    breaks = [np.zeros_like(duration), rise, rise + plateau, rise + plateau + fall]
-    pieces = [_line(rise, 0.0, 1.0), _line(plateau, 1.0, 1.0), _line(fall, 1.0, 0.0)]
-    valid = (rise >= 0.0) & (fall >= 0.0) & (plateau >= -1e-12 * duration) & (duration > 0.0)
-    return _pieces(breaks, pieces, valid)
+    return _stepped(duration, numbers["rise"], numbers["fall"], numbers.get("striker_ratio"))
 
 
 def _ramp(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
@@ -292,8 +288,9 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
             raise ValueError(f"the record {verb}s at {level:.0%} of its peak; {verb} it at rest")
     time = time[first : last + 1] - time[first]
     curve = strain[first : last + 1] / peak
+    weight = np.ones(len(curve))
     # from 0 to 0
-    curve[[0, -1]], weight = 0.0, np.ones(len(curve))
+    curve[[0, -1]] = 0.0
     weight[[0, -1]] = 1e3
     *_, knots = generate_knots(
         time, curve, w=weight, k=3, s=len(curve) * _MISFIT**2, nest=_MOST_PIECES + 7
