@@ -16,6 +16,8 @@ Places: TypeAlias = npt.NDArray[np.int64]
 Values: TypeAlias = Any
 #: numbers or flags of any kind, plain or in named columns
 Cells: TypeAlias = npt.NDArray[Any]
+#: decorator of formulas that are evaluated in every row, also where they are not valid or not used
+quiet = np.errstate(all="ignore")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))

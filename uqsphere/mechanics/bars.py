@@ -22,7 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, quiet
 from uqsphere.mechanics.roots import bisect
 
 #: velocity reflection coefficient of a far end
@@ -123,6 +123,7 @@ def phase_speed(wave_number: Array, nu: float) -> Array:
     return np.where(wave_number > 1e-2, 0.5 * (low + high), long_wave)
 
 
+@quiet
 def surface_factors(wave_number: Array, speed: Array, nu: float) -> tuple[Array, Array]:
     """Tyas and Wilson's correction factors M_1, M_2 of the surface strain, both 1 for long waves.
 
@@ -137,10 +138,9 @@ def surface_factors(wave_number: Array, speed: Array, nu: float) -> tuple[Array,
     shearing = 2.0 * p2 * one_p
     surface = dilating * zero_p + shearing * zero_q
     mean = 2.0 * (dilating * one_p + shearing * one_q)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        strain = np.where(k2 > 0.0, mean / surface, 1.0)
-        volume = nu / (1.0 - 2.0 * nu) * (p2 + k2) * 2.0 * dilating * one_p
-        stress = np.where(k2 > 0.0, (volume + k2 * mean) / ((1.0 + nu) * k2 * mean), 1.0)
+    strain = np.where(k2 > 0.0, mean / surface, 1.0)
+    volume = nu / (1.0 - 2.0 * nu) * (p2 + k2) * 2.0 * dilating * one_p
+    stress = np.where(k2 > 0.0, (volume + k2 * mean) / ((1.0 + nu) * k2 * mean), 1.0)
     return strain, stress
 
 
@@ -173,9 +173,9 @@ def _second_mode(nu: float) -> float:
     q2 = np.square(trial / shear)
     zero_p, one_p = _bessel(p2)
     radial = 2.0 * p2 * one_p - q2 * zero_p
-    change = np.flatnonzero(np.sign(radial[1:]) != np.sign(radial[:-1]))
+    changes = trial[:-1][np.diff(np.sign(radial)) != 0.0]
     first_zero_of_j1 = 3.8317059702075125
-    return float(min(trial[change[0]] if len(change) else np.inf, first_zero_of_j1 * shear))
+    return float(min([*changes[:1], first_zero_of_j1 * shear]))
 
 
 @lru_cache(maxsize=64)
@@ -184,17 +184,11 @@ def first_mode(nu: float) -> FirstMode:
     if not 0.0 <= nu < 0.5:
         raise ValueError(f"nu of a bar must be at least 0 and below 0.5, not {nu!r}")
     speed = phase_speed(_TABLE, nu)
-    strain, stress = surface_factors(_TABLE, speed, nu)
-    factor = strain * stress
+    factor = np.prod(surface_factors(_TABLE, speed, nu), axis=0)
     frequency = _TABLE * speed
-    bad = (
-        (frequency >= _second_mode(nu))
-        | ~(np.abs(factor) < _MOST_GAIN)
-        | (factor < 1.0 / _MOST_GAIN)
-    )
-    last = int(np.argmax(bad)) if bad.any() else len(bad)
+    good = (frequency < _second_mode(nu)) & (factor < _MOST_GAIN) & (factor >= 1.0 / _MOST_GAIN)
     # the tables end where the factor leaves its range, before the pole behind it
-    kept = slice(0, max(last, 8))
+    kept = slice(0, max(np.logical_and.accumulate(good).sum(), 8))
     return FirstMode(
         frequency=np.concatenate([[0.0], frequency[kept]]),
         wave_number=np.concatenate([[0.0], _TABLE[kept]]),

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, quiet
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import SceneAnswers, answers_from, merged_answers
 from uqsphere.mechanics.rigs import LARGEST_LAM
@@ -236,6 +236,7 @@ _SWING, _SWING_POWER = 0.70, 0.45
 _BLOCK_ROWS = 8192
 
 
+@quiet
 def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
     """Rows that `solve_closed` applies to, (n,).
 
@@ -257,9 +258,8 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
         return ~every
-    with np.errstate(all="ignore"):
-        duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
-        return (ahead.reflection == 0.0) | ~(duration > ahead.round_trip)
+    duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
+    return (ahead.reflection == 0.0) | ~(duration > ahead.round_trip)
 
 
 def _is_light(scene: Scene, fidelity: str) -> bool:
@@ -273,6 +273,7 @@ def _is_light(scene: Scene, fidelity: str) -> bool:
     )
 
 
+@quiet
 def solve_closed(
     scene: Scene, fidelity: str = "full", quantities: Collection[str] | None = None
 ) -> SceneAnswers:
@@ -290,15 +291,14 @@ def solve_closed(
         return merged_answers(
             *((rows, solve_closed(scene.at(rows), fidelity, quantities)) for rows in blocks)
         )
-    with np.errstate(all="ignore"):
-        if scene.by_wave:
-            closed = _massless(scene)
-        elif scene.setup.by_press:
-            closed = _pressed(scene)
-        elif scene.setup.weight_falls:
-            closed = _light(scene)
-        else:
-            closed = _impact(scene)
+    if scene.by_wave:
+        closed = _massless(scene)
+    elif scene.setup.by_press:
+        closed = _pressed(scene)
+    elif scene.setup.weight_falls:
+        closed = _light(scene)
+    else:
+        closed = _impact(scene)
     # closed forms have a single force peak
     columns = {"x_first": closed["x_max"], **closed}
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}

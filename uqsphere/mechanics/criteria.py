@@ -18,7 +18,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Flags, Values, quiet
 from uqsphere.mechanics import contact, stress
 from uqsphere.mechanics.inputs import declared
 from uqsphere.units import Quantity
@@ -257,6 +257,7 @@ def _weakest_rim(c: ColumnMap) -> Values:
     return pressure * tension * (surface / c["reference_area"]) ** (1.0 / m)
 
 
+@quiet
 def _specific_energy(c: ColumnMap, name: str) -> Values:
     """A fracture energy w by one of the three definitions of (R22).
 
@@ -268,9 +269,8 @@ def _specific_energy(c: ColumnMap, name: str) -> Values:
     if "largest_energy" not in c:
         return energy
     top = c["largest_energy"]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        equivalent = np.minimum(top * energy / (top - energy), _CERTAIN * top)
-        return np.where(energy < top, equivalent, _CERTAIN * top)
+    equivalent = np.minimum(top * energy / (top - energy), _CERTAIN * top)
+    return np.where(energy < top, equivalent, _CERTAIN * top)
 
 
 #: formula of every criterion, without the rate effect

@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, quiet
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Parameters, demand
 from uqsphere.mechanics.outputs import Columns, pressures_of
@@ -79,6 +79,7 @@ def value_at(
     return demand(CRITERIA[of[0]], columns, of[1])
 
 
+@quiet
 def force_at(
     value: Values,
     of: Demand,
@@ -100,19 +101,18 @@ def force_at(
     def logarithm(x: Array) -> Array:
         return np.log(value_at(np.exp(x), of, sphere, radius, platens))
 
-    with np.errstate(all="ignore"):
-        wanted = np.log(np.where(value > 0.0, value, 1.0))
-        x = np.log(1e7 * np.square(radius))
-        slope = np.full(radius.shape, 0.7)
-        y = logarithm(x)
-        for _ in range(60):
-            step = np.clip((wanted - y) / slope, -6.0, 6.0)
-            if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
-                break
-            after = logarithm(x + step)
-            secant = (after - y) / step
-            slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
-            x = x + step
-            y = after
+    wanted = np.log(np.where(value > 0.0, value, 1.0))
+    x = np.log(1e7 * np.square(radius))
+    slope = np.full(radius.shape, 0.7)
+    y = logarithm(x)
+    for _ in range(60):
+        step = np.clip((wanted - y) / slope, -6.0, 6.0)
+        if not (np.abs(step) > 1e-13 * np.maximum(np.abs(x), 1.0)).any():
+            break
+        after = logarithm(x + step)
+        secant = (after - y) / step
+        slope = np.where((secant > 0.02) & (np.abs(step) > 1e-9), secant, slope)
+        x = x + step
+        y = after
     force = np.where(np.abs(wanted - y) < 1e-6, np.exp(x), np.inf)
     return np.where(value > 0.0, force, 0.0)

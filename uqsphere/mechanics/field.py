@@ -43,10 +43,10 @@ def arriving(motion: Motion, bar: int, times: Array, *, sides: Values = 1.0) -> 
     It is f = f_in + R_1 g_A(t - T_1) in the incident bar (0), h = R_3 k_B(t - T_3) in the receiving
     bar (1).
     """
-    reflected = _echoes(motion, bar, times, sides, first=1)
+    wave = _echoes(motion, bar, times, sides, first=1)
     if bar == 0:
-        return _pulse(motion, times + _nudge(motion, times, sides)) + reflected
-    return reflected
+        wave += _pulse(motion, times + _nudge(motion, times, sides))
+    return wave
 
 
 def _nudge(motion: Motion, times: Array, sides: Values) -> Values:
@@ -59,7 +59,7 @@ def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int
     end = motion.reflection(bar)
     trip = motion.round_trip(bar)
     nudge = _nudge(motion, times, sides)
-    last = float(times.max(initial=0.0)) * (1.0 + 1e-12)
+    last = times.max(initial=0.0) * (1.0 + 1e-12)
     total = np.zeros_like(times)
     k = first
     strength = end**first
@@ -69,13 +69,13 @@ def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int
         if bar == 0:
             part = _pulse(motion, earlier + nudge) - part
         total += strength * part
-        k = k + 1
-        strength = strength * end
+        k += 1
+        strength *= end
     return total
 
 
-def _pulse(motion: Motion, times: Array) -> Array:
-    speed = 0.5 * float(motion.scene.columns["striker.speed"][motion.row])
+def _pulse(motion: Motion, times: Array) -> Values:
+    speed = motion.scene.scales.speed[motion.row]
     return speed * pulse_value(motion.scene.pulse, motion.row, times)
 
 
@@ -162,12 +162,10 @@ def field_grid(motion: Motion, places: Array, times: Array) -> Field:
     """
     stress, velocity = np.zeros((2, len(times), len(places)))
     for bar, inside in (("incident", places <= 0.0), ("receiving", places > 0.0)):
-        distance = np.abs(places[inside])
-        field = field_at(
-            motion, bar, np.tile(distance, len(times)), np.repeat(times, len(distance))
-        )
-        stress[:, inside] = field.stress.reshape(len(times), -1)
-        velocity[:, inside] = field.velocity.reshape(len(times), -1)
+        distances, instants = np.meshgrid(np.abs(places[inside]), times)
+        field = field_at(motion, bar, distances.ravel(), instants.ravel())
+        stress[:, inside] = field.stress.reshape(distances.shape)
+        velocity[:, inside] = field.velocity.reshape(distances.shape)
     return Field(stress=stress, velocity=velocity)
 
 
@@ -215,7 +213,7 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     """
     number = BARS.index(bar)
     share = tension_level(motion) if share is None else share
-    level = share * 0.5 * float(motion.scene.columns["striker.speed"][motion.row])
+    level = share * motion.scene.scales.speed[motion.row]
     trip = motion.round_trip(number) * (1.0 + _ROUNDING)
     nodes = _search_times(motion, number)
     away = leaving(motion, number, nodes)
@@ -309,7 +307,7 @@ class GaugeRecord:
 
 def gauge_strain(
     motion: Motion, bar: str, position: float, times: Array, *, sides: Values = 1.0
-) -> Array:
+) -> Values:
     """Axial strain at a position of a bar, (m,), tension positive: stress of `field_at` over E_b.
 
     One-dimensional waves without dispersion; within a few bar diameters of the sphere a gauge also
@@ -317,7 +315,7 @@ def gauge_strain(
     (docs/errata.md).
     """
     stress = field_at(motion, bar, position, times, sides=sides).stress
-    return stress / float(motion.scene.columns["bars.E"][motion.row])
+    return stress / motion.scene.columns["bars.E"][motion.row]
 
 
 def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
@@ -360,15 +358,15 @@ def last_time(motion: Motion, bar: str, position: float) -> float:
 def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
     """Sorted instants with jumps twice, and sides: -1 at the first instant of a jump, else 1."""
     times = np.concatenate([smooth, jumps, jumps])
-    sides = np.concatenate([np.ones(len(smooth)), -np.ones(len(jumps)), np.ones(len(jumps))])
+    sides = np.repeat([1.0, -1.0, 1.0], [len(smooth), len(jumps), len(jumps)])
     order = np.lexsort((sides, times))
     return times[order], sides[order]
 
 
 def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
     """Default gauges: midway along each bar with a length, as in the paper."""
-    halves = [0.25 * motion.wave_speed * motion.round_trip(number) for number in (0, 1)]
-    return tuple((bar, half) for bar, half in zip(BARS, halves, strict=True) if np.isfinite(half))
+    halves = (0.25 * motion.wave_speed * motion.round_trip(number) for number in (0, 1))
+    return tuple(pair for pair in zip(BARS, halves, strict=True) if np.isfinite(pair[1]))
 
 
 def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
@@ -394,20 +392,13 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         instants = np.linspace(0.0, end, _END_POINTS)
         wave = np.abs(leaving(motion, number, instants, sides=-1.0))
         above = instants[wave > _ENDED_LEVEL * wave.max()]
-        first = "transmitted"
-        second = "its reflection"
-        if number == 0:
-            first = "reflected"
-            second = "its reflection from the struck end"
+        first, second = (
+            ("reflected", "its reflection from the struck end"),
+            ("transmitted", "its reflection"),
+        )[number]
         if above.size and above[-1] > back:
-            overlapping.append(
-                Overlap(
-                    first=first,
-                    second=second,
-                    begin=back + delay,
-                    end=float(above[-1]) + delay,
-                )
-            )
+            end = float(above[-1]) + delay
+            overlapping.append(Overlap(first=first, second=second, begin=back + delay, end=end))
     return tuple(overlapping)
 
 

@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Places, Values
+from uqsphere.arrays import Array, Places, Values, quiet
 from uqsphere.mechanics.criteria import CRITERIA, Demands, demand
 from uqsphere.mechanics.integrator.solve import Motion, motions
 from uqsphere.mechanics.integrator.tracked import ORDER, TERMS
@@ -216,6 +216,7 @@ def _larger_force(scene: Scene, drive: Array) -> Values:
     return largest
 
 
+@quiet
 def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Values:
     """Energy of both contacts in scaled variables, (...) of rows (...).
 
@@ -231,9 +232,8 @@ def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: A
         above = approach[..., pole]
         if partner.face is not None:
             face = partner.face.at(rows)
-            with np.errstate(all="ignore"):
-                largest = deepest[..., pole] * unit / face.onset_approach
-                dent = (largest - face.recovery(largest)) * face.onset_approach / unit
+            largest = deepest[..., pole] * unit / face.onset_approach
+            dent = (largest - face.recovery(largest)) * face.onset_approach / unit
             above = above - np.where(largest > 1.0, dent, 0.0)
         total = total + 0.4 * push[..., pole] * np.maximum(above, 0.0)
     return total

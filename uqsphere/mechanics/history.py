@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, quiet
 from uqsphere.errors import UsageError
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.field import (
@@ -220,6 +220,7 @@ def trace(
     )
 
 
+@quiet
 def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array]:
     """Approaches and pressures (2, m) of both contacts.
 
@@ -244,11 +245,10 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
         reached = np.maximum.accumulate(force)
         peak = law.pressed(law.depth_at(reached))
         dented = dented or peak.dent.max() > 0.0
-        back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.cbrt(np.square(np.where(reached > 0.0, force / reached, 0.0)))
-            # a² = r_p (alpha - alpha_r) on the spring, (C9)
-            radii[pole] = np.where(reached > 0.0, peak.radius * np.sqrt(share), 0.0)
+        back = peak.approach - peak.dent
+        share = np.cbrt(np.square(np.where(reached > 0.0, force / reached, 0.0)))
+        # a² = r_p (alpha - alpha_r) on the spring, (C9)
+        radii[pole] = np.where(reached > 0.0, peak.radius * np.sqrt(share), 0.0)
         approaches[pole] = peak.dent + np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
     if dented and course.fidelity == "full":
         area = np.pi * np.square(radii)

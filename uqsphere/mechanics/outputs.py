@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values, quiet
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, DEMANDS, Demands, demand
 from uqsphere.mechanics.inputs import declared
@@ -289,6 +289,7 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     return columns | {"leaving": back, "parting_speed": parting}
 
 
+@quiet
 def loss_to_waves(scene: Scene) -> Values | None:
     """Fraction of the impact energy that a thick target radiates, (n,), (R14).
 
@@ -300,9 +301,8 @@ def loss_to_waves(scene: Scene) -> Values | None:
     if behind is not None or ahead.kind != "thick" or not given:
         return None
     scales, (E, nu, density) = scene.scales, scene.numbers(ahead.table, "E nu density")
-    with np.errstate(all="ignore"):
-        shear_speed = np.sqrt(E / (2.0 * (1.0 + nu) * density))
-        return wave_loss(scales.hertz_constant, scales.mass, scales.speed, density, shear_speed)
+    shear_speed = np.sqrt(E / (2.0 * (1.0 + nu) * density))
+    return wave_loss(scales.hertz_constant, scales.mass, scales.speed, density, shear_speed)
 
 
 def _carries(partner: Partner) -> bool:
@@ -420,6 +420,7 @@ def _value(scene: Scene, columns: Columns, quantity: str) -> Values:
     return demand(CRITERIA[key], columns, parameters)
 
 
+@quiet
 def answers_from(
     scene: Scene,
     tracked: Mapping[str, Array],
@@ -437,8 +438,7 @@ def answers_from(
 
     Raises ValueError for a quantity that the scene does not have.
     """
-    with np.errstate(all="ignore"):
-        made = {**_of_faces(scene, tracked), **_of_impact(scene, tracked)}
+    made = {**_of_faces(scene, tracked), **_of_impact(scene, tracked)}
     columns = Columns({**columns_of(scene), **tracked, "power": 1.0 if linear else 1.5, **made})
     if quantities is None:
         quantities = (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)
@@ -463,11 +463,11 @@ def answers_from(
     )
 
 
+@quiet
 def _wider_than_its_rod(scene: Scene, columns: Columns) -> Flags:
     """Rows of a rig without a wave whose contact is wider than the end of a bar, (n,)."""
     wider = np.zeros(len(scene), dtype=bool)
     for partner, side in zip(scene.there, columns["sides"], strict=True):
         if partner.kind == "bar":
-            with np.errstate(invalid="ignore"):
-                wider |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
+            wider |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
     return wider

@@ -87,7 +87,7 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
         shares = np.where(shares >= _FAINT_STEP, shares, 0.0)
         complete = left[:, 0] ** _MOST_STEPS < _FAINT_STEP
         levels = 2.0 * ratio / (1.0 + ratio) * shares
-    used = max(int((shares > 0.0).sum(axis=1).max(initial=0)), 1)
+    used = (shares > 0.0).sum(axis=1).max(initial=1)
     return levels[:, :used], complete
 
 
@@ -268,14 +268,14 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
 
     peak = float(strain.max())
     # the negative values before the pulse give the amplitude of the noise
-    noise = -1.5 * strain[: int(np.argmax(strain > _END_LEVEL * peak))].min(initial=0.0)
+    noise = -1.5 * strain[: np.argmax(strain > _END_LEVEL * peak)].min(initial=0.0)
     inside = np.flatnonzero(np.abs(strain) > max(_START_LEVEL * peak, noise))
     if len(inside) < _FEWEST_SAMPLES:
         raise ValueError(
             f"the pulse must have at least {_FEWEST_SAMPLES} samples, not {len(inside)}"
         )
-    first = max(int(inside[0]) - 1, 0)
-    last = min(int(inside[-1]) + 1, len(strain) - 1)
+    first = max(inside[0] - 1, 0)
+    last = min(inside[-1] + 1, len(strain) - 1)
     limit = _END_LEVEL * peak
     if -strain.min() > limit:
         raise ValueError(
@@ -299,13 +299,13 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
     fine = np.linspace(0.0, time[-1], 2000)
     smooth = spline(fine)
     top = float(smooth.max())
-    rise = fine[int(np.argmax(smooth >= 0.9 * top))] - fine[int(np.argmax(smooth >= 0.1 * top))]
+    start, stop = (fine[np.argmax(smooth >= share * top)] for share in (0.1, 0.9))
     cubics = PPoly.from_spline((spline.t, spline.c, 3)).c[::-1, 3:-3].T / top
     cubics[0, 0] = 0.0
     found = MeasuredPulse(
         breaks=tuple(knots[3:-3].tolist()),
         coefficients=tuple(map(tuple, cubics.tolist())),
         peak=peak * top,
-        rise=float(rise),
+        rise=float(stop - start),
     )
     return found, float(np.abs(curve - spline(time)).max())

@@ -142,10 +142,8 @@ class Rig:
     @property
     def tables(self) -> tuple[str, ...]:
         """Tables of a study that belong to this rig."""
-        tables = dict.fromkeys((self.behind, self.ahead))
-        if self.by_wave:
-            tables |= dict.fromkeys(("striker", "pulse"))
-        return tuple(name for name in tables if name)
+        of_wave = ("striker", "pulse") if self.by_wave else ()
+        return tuple(dict.fromkeys(filter(None, (self.behind, self.ahead, *of_wave))))
 
     def kind(self, pole: int, options: Values) -> str:
         """Kind of the counter-body at a contact; `thick` unless the study chooses another."""

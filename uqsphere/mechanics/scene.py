@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values, quiet
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.inputs import INPUTS
@@ -255,6 +255,7 @@ class Scene:
         return build_pulse(self.shape, self._duration, numbers)
 
     @property
+    @quiet
     def _duration(self) -> Values:
         """Length of the pulse, (n,) [s]; infinite for a step, and without a wave."""
         if not self.by_wave or self.shape == "step":
@@ -263,8 +264,7 @@ class Scene:
             return np.full(len(self), self.record.duration)
         if "pulse.duration" in self.columns:
             return self.columns["pulse.duration"]
-        with np.errstate(all="ignore"):
-            return bars.round_trip(self.columns["striker.length"], *self._striker)
+        return bars.round_trip(self.columns["striker.length"], *self._striker)
 
     @property
     def _striker(self) -> tuple[Array, Array]:
@@ -274,13 +274,13 @@ class Scene:
         return E, c.get("striker.density", c["bars.density"])
 
     @cached_property
+    @quiet
     def striker_ratio(self) -> Values | None:
         """Impedance ratio of striker and bars, (n,); None for a striker of the bars' kind."""
         if STRIKER_COLUMNS.isdisjoint(self.columns):
             return None
-        with np.errstate(all="ignore"):
-            diameter = self.columns.get("striker.diameter", self.columns["bars.diameter"])
-            return bars.impedance(*self._striker, diameter) / self.scales.impedance
+        diameter = self.columns.get("striker.diameter", self.columns["bars.diameter"])
+        return bars.impedance(*self._striker, diameter) / self.scales.impedance
 
     # --- the counter-bodies -----------------------------------------------------------------------
 
@@ -334,21 +334,21 @@ class Scene:
     # --- speeds and scale factors -----------------------------------------------------------------
 
     @cached_property
+    @quiet
     def closing_speed(self) -> Array:
         """Normal closing speed of an impact, (n,) [m/s]: as given, or after a fall."""
         c = self.columns
         mover = self.setup.mover
-        with np.errstate(all="ignore"):
-            if f"{mover}.drop_height" not in c:
-                speed = self.column(f"{mover}.speed")
-            elif self.setup.sphere_moves:
-                speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
-            else:
-                # the drag on a drop weight depends on its shape; it is small
-                speed = np.sqrt(2.0 * GRAVITY * c[f"{mover}.drop_height"])
-            if "rig.angle" in c:
-                speed = speed * np.sin(c["rig.angle"])
-            return speed
+        if f"{mover}.drop_height" not in c:
+            speed = self.column(f"{mover}.speed")
+        elif self.setup.sphere_moves:
+            speed = drop_speed(c["rig.drop_height"], c["sphere.radius"], c["sphere.density"])
+        else:
+            # the drag on a drop weight depends on its shape; it is small
+            speed = np.sqrt(2.0 * GRAVITY * c[f"{mover}.drop_height"])
+        if "rig.angle" in c:
+            speed = speed * np.sin(c["rig.angle"])
+        return speed
 
     @cached_property
     def start(self) -> Array:
@@ -361,6 +361,7 @@ class Scene:
         return start
 
     @cached_property
+    @quiet
     def scales(self) -> Scales:
         """Scale factors of every row; not finite in rows outside the domain.
 
@@ -370,36 +371,31 @@ class Scene:
         """
         c, (behind, ahead), struck = self.columns, self.partners, self.struck
         beta = struck.hertz_constant
-        with np.errstate(all="ignore"):
-            mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
-            impedance = ahead.impedance
-            if self.by_wave:
-                speed = 0.5 * c["striker.speed"]
-                force = impedance * speed
-            elif self.setup.by_press:
-                speed = np.ones(len(self))
-                force = beta * c["sphere.radius"] ** 1.5
-            else:
-                speed = self.closing_speed
-                moved = behind.mass if behind else mass / (1.0 + mass / struck.mass)
-                # one root for the three powers: m³ v⁶ beta²
-                impulse = moved * speed * speed
-                force = (beta * beta * impulse * impulse * impulse) ** 0.2
-            approach = contact.approach_at_force(force, beta)
-            time = approach / speed
-            mass_number = mass * speed / (force * time)
-            if self.by_wave:
-                mass_number = mass / (impedance * time)
+        mass = contact.sphere_mass(c["sphere.radius"], c["sphere.density"])
+        if self.by_wave:
+            speed = 0.5 * c["striker.speed"]
+            force = ahead.impedance * speed
+        elif self.setup.by_press:
+            speed = np.ones(len(self))
+            force = beta * c["sphere.radius"] ** 1.5
+        else:
+            speed = self.closing_speed
+            moved = behind.mass if behind else mass / (1.0 + mass / struck.mass)
+            # one root for the three powers: m³ v⁶ beta²
+            impulse = moved * speed * speed
+            force = (beta * beta * impulse * impulse * impulse) ** 0.2
+        approach = contact.approach_at_force(force, beta)
+        time = approach / speed
         return Scales(
             modulus=struck.modulus,
             effective_radius=struck.effective_radius,
             hertz_constant=beta,
             mass=mass,
-            impedance=impedance,
+            impedance=ahead.impedance,
             force=force,
             approach=approach,
             time=time,
-            mass_number=mass_number,
+            mass_number=mass * speed / (force * time),
             duration=self._duration,
             speed=speed,
         )
@@ -407,16 +403,16 @@ class Scene:
     # --- the domain -------------------------------------------------------------------------------
 
     @cached_property
+    @quiet
     def status(self) -> Places:
         """Status of every row before the integration, (n,): see `STATUS`."""
-        with np.errstate(all="ignore"):
-            inside = self._valid_numbers() & self._in_range()
-            codes = np.where(inside, 0, DOMAIN)
-            if self.setup.by_impact:
-                codes[self.closing_speed <= 0.0] = NEVER_CLOSES
-            if self.by_wave and not self.infinite:
-                too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
-                codes[inside & too_long & (self.reflections[:, 0] != 0.0)] = TOO_LONG_PULSE
+        inside = self._valid_numbers() & self._in_range()
+        codes = np.where(inside, 0, DOMAIN)
+        if self.setup.by_impact:
+            codes[self.closing_speed <= 0.0] = NEVER_CLOSES
+        if self.by_wave and not self.infinite:
+            too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
+            codes[inside & too_long & (self.reflections[:, 0] != 0.0)] = TOO_LONG_PULSE
         return codes
 
     def _valid_numbers(self) -> Flags:
@@ -462,6 +458,7 @@ def _between(ratio: Array, bounds: tuple[float, float]) -> Flags:
     return (ratio >= bounds[0]) & (ratio <= bounds[1])
 
 
+@quiet
 def _partner(scene: Scene, pole: int) -> Partner:
     """The counter-body at contact A (0) or B (1); not finite in rows outside the domain."""
     c = scene.columns
@@ -479,49 +476,48 @@ def _partner(scene: Scene, pole: int) -> Partner:
         end_radius = c["other.radius"]
     elif ball:
         end_radius = 0.5 * c[f"{table}.diameter"]
-    with np.errstate(all="ignore"):
-        modulus = contact.reduced_modulus(
-            c["sphere.E"],
-            c["sphere.nu"],
-            c.get(f"{table}.insert_E", E),
-            c.get(f"{table}.insert_nu", nu),
-            rigid_bars=scene.rigid_contact,
-        )
-        radius = contact.effective_radius(c["sphere.radius"], end_radius)
-        if kind == "bar":
-            impedance = bars.impedance(E, density, c[f"{table}.diameter"])
-            bar = ("incident_", "receiving_")[pole] if scene.by_wave else ""
-            if f"{table}.{bar}length" in c:
-                round_trip = bars.round_trip(c[f"{table}.{bar}length"], E, density)
-                if not scene.infinite:
-                    end = "absorbing" if bar == "receiving_" else "free"
-                    reflection = scene.column(f"{table}.{bar}end", bars.END_COEFFICIENTS[end])
-        elif kind == "plate":
-            impedance = plate_impedance(E, nu, density, c[f"{table}.thickness"])
-        elif ball:
-            mass = contact.sphere_mass(end_radius, density)
-        elif kind == "mass":
-            mass = c[f"{table}.mass"]
-        body = body_of(c, table, scene.rigid_contact)
-        face = None
-        if scene.contact_law == "plastic":
-            law = law_of(c, body, at_onset=scene.hardness_at_onset)
-            if not np.isinf(law.onset).all():
-                face = Face(**law._asdict(), modulus=modulus, effective_radius=radius)
-                takes = np.where(sphere_body(c).onset < body.onset, 1.0, 0.0)
-        return Partner(
-            pole="ab"[pole],
-            table=table,
-            kind=kind,
-            modulus=modulus,
-            effective_radius=radius,
-            hertz_constant=contact.hertz_constant(modulus, radius),
-            share=modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"],
-            impedance=impedance,
-            mass=mass,
-            round_trip=round_trip,
-            reflection=reflection,
-            body=body,
-            face=face,
-            takes=takes,
-        )
+    modulus = contact.reduced_modulus(
+        c["sphere.E"],
+        c["sphere.nu"],
+        c.get(f"{table}.insert_E", E),
+        c.get(f"{table}.insert_nu", nu),
+        rigid_bars=scene.rigid_contact,
+    )
+    radius = contact.effective_radius(c["sphere.radius"], end_radius)
+    if kind == "bar":
+        impedance = bars.impedance(E, density, c[f"{table}.diameter"])
+        bar = ("incident_", "receiving_")[pole] if scene.by_wave else ""
+        if f"{table}.{bar}length" in c:
+            round_trip = bars.round_trip(c[f"{table}.{bar}length"], E, density)
+            if not scene.infinite:
+                end = "absorbing" if bar == "receiving_" else "free"
+                reflection = scene.column(f"{table}.{bar}end", bars.END_COEFFICIENTS[end])
+    elif kind == "plate":
+        impedance = plate_impedance(E, nu, density, c[f"{table}.thickness"])
+    elif ball:
+        mass = contact.sphere_mass(end_radius, density)
+    elif kind == "mass":
+        mass = c[f"{table}.mass"]
+    body = body_of(c, table, scene.rigid_contact)
+    face = None
+    if scene.contact_law == "plastic":
+        law = law_of(c, body, at_onset=scene.hardness_at_onset)
+        if not np.isinf(law.onset).all():
+            face = Face(**law._asdict(), modulus=modulus, effective_radius=radius)
+            takes = np.where(sphere_body(c).onset < body.onset, 1.0, 0.0)
+    return Partner(
+        pole="ab"[pole],
+        table=table,
+        kind=kind,
+        modulus=modulus,
+        effective_radius=radius,
+        hertz_constant=contact.hertz_constant(modulus, radius),
+        share=modulus * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"],
+        impedance=impedance,
+        mass=mass,
+        round_trip=round_trip,
+        reflection=reflection,
+        body=body,
+        face=face,
+        takes=takes,
+    )

@@ -15,12 +15,11 @@ some 7 % of the half space's value; above 0.3 Hertz's contact has ended anyway.
 from __future__ import annotations
 
 import json
-import math
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
+from numpy.polynomial.chebyshev import chebvander
 
 from uqsphere.arrays import Array, Values
 
@@ -51,10 +50,10 @@ def load_table(name: str) -> Array:
     coefficients = np.zeros(entry["shape"])
     # whole numbers of `unit`; they fall off towards the end of every row, and what is not written
     # is zero
-    for index, row in enumerate(entry["rows"]):
-        coefficients.reshape(-1, entry["shape"][-1])[index, : len(row)] = (
-            np.array(row) * entry["unit"]
-        )
+    for written, row in zip(
+        entry["rows"], coefficients.reshape(-1, entry["shape"][-1]), strict=True
+    ):
+        row[: len(written)] = np.array(written) * entry["unit"]
     return coefficients
 
 
@@ -70,27 +69,28 @@ def ratio(name: str, contact_ratio: Values, nu: Values, modulus: float | None = 
     coefficients = load_table(name)
     if modulus is None:
         return _evaluated([coefficients], contact_ratio, nu, POISSON)[0]
-    inverse = _unit(1.0 / np.array([modulus]), 1.0 / MODULUS[1], 1.0 / MODULUS[0])
-    weights = _polynomials(inverse, coefficients.shape[2])[0]
+    inverse = _unit(1.0 / modulus, 1.0 / MODULUS[1], 1.0 / MODULUS[0])
+    weights = chebvander(inverse, coefficients.shape[2] - 1)[0]
     return _evaluated([coefficients @ weights], contact_ratio, nu, POISSON_WEIBULL)[0]
 
 
 def _evaluated(
     matrices: list[Array],
-    contact_ratio: npt.ArrayLike,
-    nu: npt.ArrayLike,
+    contact_ratio: Values,
+    nu: Values,
     bounds: tuple[float, float],
 ) -> list[Array]:
     """exp of the sums of several matrices of one shape at the same rows."""
-    parts = np.broadcast_arrays(np.asarray(contact_ratio, dtype=float), np.asarray(nu, dtype=float))
+    parts = np.broadcast_arrays(contact_ratio, nu)
     a, v = (part.ravel() for part in parts)
-    low, high = (math.log(bound) for bound in CONTACT_RATIO)
+    low, high = np.log(CONTACT_RATIO)
+    degree_a, degree_v = np.subtract(matrices[0].shape, 1)
     out = [np.empty(len(a)) for _ in matrices]
     for start in range(0, len(a), _CHUNK):
         piece = slice(start, start + _CHUNK)
         logarithm = np.log(np.maximum(_whole(a[piece]), 1e-300))
-        first = _polynomials(_unit(logarithm, low, high), matrices[0].shape[0])
-        second = _polynomials(_unit(_whole(v[piece]), *bounds), matrices[0].shape[1])
+        first = chebvander(_unit(logarithm, low, high), degree_a)
+        second = chebvander(_unit(_whole(v[piece]), *bounds), degree_v)
         for matrix, column in zip(matrices, out, strict=True):
             column[piece] = np.einsum("nj,nj->n", first @ matrix, second)[: len(column[piece])]
     return [np.exp(column).reshape(parts[0].shape) for column in out]
@@ -105,25 +105,12 @@ def _whole(piece: Array) -> Array:
     return np.pad(piece, (0, _CHUNK - len(piece)), mode="edge")
 
 
-def _unit(value: Array, low: float, high: float) -> Array:
+def _unit(value: Values, low: float, high: float) -> Values:
     """From [low, high] to [-1, 1]."""
     return np.clip((2.0 * value - low - high) / (high - low), -1.0, 1.0)
 
 
-def _polynomials(x: Array, count: int) -> Array:
-    """T_0 … T_(count-1) at x, (n, count)."""
-    out = np.empty((count, len(x)))
-    out[0] = 1.0
-    if count > 1:
-        out[1] = x
-    double = 2.0 * x
-    for k in range(2, count):
-        np.multiply(double, out[k - 1], out=out[k])
-        out[k] -= out[k - 2]
-    return out.T
-
-
-def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, Array]:
+def core_ratio(contact_ratio: Values, nu: Values) -> tuple[Array, Array]:
     """Largest hoop tension on the axis over p_0, and its depth below the surface over r.
 
     The place moves to the centre as the contact grows.  Its squared distance u from there passes
@@ -133,11 +120,11 @@ def core_ratio(contact_ratio: npt.ArrayLike, nu: npt.ArrayLike) -> tuple[Array, 
     >>> print(f"{float(tension):.4f} {float(depth):.3f}")
     0.0099 0.219
     """
-    a, v = (np.asarray(part, dtype=float) for part in np.broadcast_arrays(contact_ratio, nu))
-    inside = np.clip(a, *CONTACT_RATIO)
-    value, depth = _evaluated([load_table(name) for name in ("core", "core_depth")], a, v, POISSON)
+    inside = np.clip(contact_ratio, *CONTACT_RATIO)
+    tables = [load_table(name) for name in ("core", "core_depth")]
+    value, depth = _evaluated(tables, contact_ratio, nu, POISSON)
     square = 1.0 - inside * depth
-    tension = np.where(square > 0.0, value, centre_ratio(inside, np.clip(v, *POISSON)))
+    tension = np.where(square > 0.0, value, centre_ratio(inside, np.clip(nu, *POISSON)))
     return tension, 1.0 - np.sqrt(np.maximum(square, 0.0))
 
 
@@ -146,11 +133,10 @@ def centre_ratio(contact_ratio: Array, nu: Array) -> Values:
 
     sigma = -p_0th + p_2 (7 + 2 nu)/(2 (7 + 5 nu)) with the integrals of the load in closed form.
     """
-    a2 = np.square(contact_ratio)
-    a = np.sqrt(a2)
-    if np.any(a2 <= 0.0):
+    a = contact_ratio
+    if np.any(a <= 0.0):
         raise ValueError("contact_ratio must be above 0")
-    c2 = 1.0 - a2
+    c2 = 1.0 - np.square(a)
     # ∫ sqrt(t² - c²) dt and ∫ t² sqrt(t² - c²) dt from c to 1
     logarithm = np.log((1.0 + a) / np.sqrt(c2))
     zeroth = 0.5 * (a - c2 * logarithm)
@@ -160,12 +146,8 @@ def centre_ratio(contact_ratio: Array, nu: Array) -> Values:
     return -mean + p_2 * (7.0 + 2.0 * nu) / (2.0 * (7.0 + 5.0 * nu))
 
 
-def half_space_rim(
-    contact_ratio: npt.ArrayLike, nu: npt.ArrayLike, modulus: npt.ArrayLike
-) -> Values:
+def half_space_rim(contact_ratio: Values, nu: Values, modulus: Values) -> Values:
     """I_rim^(1/m) of the half space: (1 - 2 nu)/3 [(a/r)²/2 3 m/((m - 1) (m + 2))]^(1/m)."""
-    m = np.asarray(modulus, dtype=float)
-    area = (
-        0.5 * np.square(np.asarray(contact_ratio, dtype=float)) * 3.0 * m / ((m - 1.0) * (m + 2.0))
-    )
-    return (1.0 - 2.0 * np.asarray(nu, dtype=float)) / 3.0 * area ** (1.0 / m)
+    m = modulus
+    area = 0.5 * np.square(contact_ratio) * 3.0 * m / ((m - 1.0) * (m + 2.0))
+    return (1.0 - 2.0 * np.array(nu)) / 3.0 * area ** (1.0 / m)

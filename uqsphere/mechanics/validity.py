@@ -14,7 +14,7 @@ from functools import reduce
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values, quiet
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, Parameters, in_range, ranges_of
 from uqsphere.mechanics.inputs import declared
@@ -396,6 +396,7 @@ def grades_of(rule: Rule, measured: Array) -> Places:
     return grades
 
 
+@quiet
 def check_validity(
     scene: Scene, answers: SceneAnswers, quantities: Collection[str] = ()
 ) -> list[ValidityCheck]:
@@ -409,11 +410,10 @@ def check_validity(
         raise ValueError(f"the scene has {len(scene)} rows, the answers have {len(answers.status)}")
     measures = Measures(scene, answers)
     checks = []
-    with np.errstate(all="ignore"):
-        for key, rule in RULES.items():
-            measured = getattr(measures, key)() if rule.applies(scene) else None
-            if measured is not None:
-                checks.append(_check(rule, measures, np.asarray(measured)))
+    for key, rule in RULES.items():
+        measured = getattr(measures, key)() if rule.applies(scene) else None
+        if measured is not None:
+            checks.append(_check(rule, measures, np.asarray(measured)))
     return checks + _check_ranges(measures, quantities)
 
 

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values, quiet
 from uqsphere.mechanics.roots import newton
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel; the
@@ -41,8 +41,6 @@ CAP_PILE_UP = 2.0
 
 #: formula of numbers or of arrays
 Formula = Callable[..., Any]
-#: the formulas divide by zero at the onset, and by b = 0, in branches that are not taken
-_QUIET = np.errstate(divide="ignore", invalid="ignore")
 
 
 def metal_onset(yield_strength: Array | float, nu: Array | float) -> Array:
@@ -210,7 +208,7 @@ class Face:
         return self.pile_up * self.hardness / self.onset - 1.0
 
     @property
-    @_QUIET
+    @quiet
     def valid(self) -> Values:
         """Rows with valid parameters: b = 0, or 0.2 <= b <= 100; or elastic, with infinite onset.
 
@@ -237,22 +235,22 @@ class Face:
         """P_y [N], (C2)."""
         return (2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach
 
-    @_QUIET
+    @quiet
     def force(self, depth: Array) -> Values:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
         return _FIRST_LOADING.force(depth, self.softening)
 
-    @_QUIET
+    @quiet
     def slope(self, depth: Array) -> Values:
         """dL/dz on first loading, (C4)."""
         return _FIRST_LOADING.slope(depth, self.softening)
 
-    @_QUIET
+    @quiet
     def area(self, depth: Array) -> Values:
         """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
         return _FIRST_LOADING.area(depth, self.softening, self.pile_up)
 
-    @_QUIET
+    @quiet
     def work(self, depth: Array) -> Values:
         """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
         return _FIRST_LOADING.work(depth, self.softening)
@@ -274,13 +272,13 @@ class Face:
         depth = newton(lambda z: (self.work(z) - np.maximum(work, 0.4)) / self.force(z), start, 1.0)
         return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
 
-    @_QUIET
+    @quiet
     def recovery(self, depth: Array) -> Array:
         """alpha_e/alpha_y: the approach recovered by unloading from z, (C8)."""
         beyond = self.force(depth) / np.sqrt(self.area(depth))
         return np.where(depth > 1.0, beyond, np.maximum(depth, 0.0))
 
-    @_QUIET
+    @quiet
     def pressed(self, depth: Array) -> Press:
         """The state of the contact at the largest approach z alpha_y."""
         force = self.force(depth)

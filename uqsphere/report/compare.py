@@ -12,7 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
-from uqsphere.report.format import DASH, change_text, label, meaning, value
+from uqsphere.report.format import DASH, change_text, ends_of, label, meaning, value
 from uqsphere.report.sentences import decision_text, plain_name
 from uqsphere.results import Run
 from uqsphere.results.types import Answer, InputEntry, Kind
@@ -79,7 +79,7 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     for (subject, answer, at), rows in sorted(answers.items()):
         ends = np.full((len(runs), 3), np.nan)
         for number, row in rows.items():
-            ends[number] = np.array((row.value, row.low, row.high), dtype=float)
+            ends[number] = ends_of(row)
         values = ends[:, 0]
         half_widths = 0.5 * np.nan_to_num(ends[:, 2] - ends[:, 1])
         scale = max(abs(values[0]), half_widths[0])

@@ -9,6 +9,7 @@ from itertools import chain
 
 import numpy as np
 
+from uqsphere.arrays import Array
 from uqsphere.quantities import (
     format_estimate,
     format_index,
@@ -21,6 +22,7 @@ from uqsphere.quantities import (
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
     Answer,
+    CurvePoint,
     Decision,
     InputEntry,
     LimitEntry,
@@ -77,6 +79,11 @@ def value_range(low: float | None, high: float | None, name: str) -> str:
     first, last = format_together([low, high], name)
     unit = last.partition(" ")[2]
     return f"{first.removesuffix(f' {unit}')} to {last}"
+
+
+def ends_of(row: Estimated | CurvePoint) -> Array:
+    """Value, lower and upper end, (3,); nan where there is none."""
+    return np.array((row.value, row.low, row.high), dtype=float)
 
 
 def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:

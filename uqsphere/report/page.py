@@ -8,7 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from markupsafe import Markup, escape
 
 from uqsphere.quantities import format_probability
 from uqsphere.report import sentences, tables
@@ -16,9 +18,6 @@ from uqsphere.report.figures import Picture, pictures_of
 from uqsphere.report.format import capital, keep_units, meaning, short
 from uqsphere.results.folder import read_results, write_files
 from uqsphere.results.types import Results
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 #: figures of the row below the decision
 FRONT: tuple[str, ...] = ("density-1", "density-2", "sobol")
@@ -106,8 +105,6 @@ def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]
 
 def _cell(text: str) -> Markup:
     """A text of a table; an estimate with its interval below it, both unbroken."""
-    from markupsafe import Markup
-
     parts = re.fullmatch(r"(-?\d\S*(?: %)?) \((-?\d\S* to [^)]+)\)(.*)", text)
     if parts is not None:
         stacked = Markup('<span class="v">{}</span><br><small class="v soft">{}</small>')
@@ -119,8 +116,6 @@ def _cell(text: str) -> Markup:
 
 def _linked(text: str) -> Markup:
     """A text whose DOIs are links."""
-    from markupsafe import Markup, escape
-
     # with pairs of brackets, as in 10.1016/S0301-7516(98)00005-2
     pattern = (
         r"(?:https://doi\.org/|doi:?\s?)?\b(10\.\d{4,9}/(?:[^\s,;()]|\([^\s()]*\))+[^\s,;().])"
@@ -132,11 +127,7 @@ def _linked(text: str) -> Markup:
 
 def _inline(picture: Picture, name: str, screen: str = "") -> Markup:
     """An SVG with alternative text, and ids of its own: several stand in one page."""
-    from markupsafe import Markup, escape
-
-    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', picture.svg)
-    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
-    text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
+    text = re.sub(r'(\bid="|url\(#|href="#)', rf"\1{name}-", picture.svg)
     head = f'<svg role="img" aria-label="{escape(picture.text)}" '
     if screen:
         head = head.replace("<svg", f'<svg class="{screen}"', 1)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_conservative, format_probability, round_conservative
@@ -144,7 +145,7 @@ def limit_notes(results: Results) -> list[str]:
         notes.append(f"strength stated without tests, its uncertainty in no range here: {names}")
     if results.study.modes:
         notes.append("* assumed: library strength, not measured on this rock")
-    damage = damage_modes(results)
+    damage = damage_modes(results.decisions)
     if damage:
         notes.append(f"damage, not counted as fracture: {listed(damage)}")
     return notes
@@ -155,7 +156,7 @@ def all_modes(decision: Decision) -> str:
 
     The total may lie below the probability of a mode that is left out.
     """
-    damage = [plain_name(doubt.subject) for doubt in decision.doubts if not doubt.counts]
+    damage = damage_modes([decision])
     if damage:
         return f"all but {listed(damage)} (damage)"
     return "all failure modes"
@@ -473,14 +474,10 @@ def doubt_text(doubt: Doubt) -> str:
     return text
 
 
-def damage_modes(results: Results) -> list[str]:
+def damage_modes(decisions: Sequence[Decision]) -> list[str]:
     """Failure modes that damage the sphere and are not counted as its fracture."""
-    names = dict[str, None]()
-    for decision in results.decisions:
-        for doubt in decision.doubts:
-            if not doubt.counts:
-                names[plain_name(doubt.subject)] = None
-    return list(names)
+    doubts = chain.from_iterable(decision.doubts for decision in decisions)
+    return list(dict.fromkeys(plain_name(doubt.subject) for doubt in doubts if not doubt.counts))
 
 
 def _family(option: str) -> str:

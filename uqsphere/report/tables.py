@@ -39,6 +39,7 @@ from uqsphere.report.sentences import (
 )
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
+    Answer,
     Decision,
     Doubt,
     FreeNumber,
@@ -112,13 +113,12 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     free = results.study.free
     if free is None:
         return PageTable()
-    sign = 1.0
-    if decision.use is not None and is_least(decision):
-        sign = -1.0
-    ends = {"everywhere": math.inf, "nowhere": -math.inf, "": -math.inf}
+    least = decision.use is not None and is_least(decision)
 
     def order(doubt: Doubt) -> float:
-        return ends[doubt.margin_note] if doubt.margin is None else sign * doubt.margin
+        if doubt.margin is None:
+            return math.inf if doubt.margin_note == "everywhere" else -math.inf
+        return -doubt.margin if least else doubt.margin
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
     margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
@@ -303,14 +303,13 @@ def quantities(results: Results) -> PageTable:
     answers = table_of(results)
     rows = []
     entries = results.study.quantities
-    places: dict[float, None] = {}
-    for name in entries:
-        places |= dict.fromkeys(float(row.at) for row in answers.where(name, Kind.QUANTILE))
+    quantiles = (row for name in entries for row in answers.where(name, Kind.QUANTILE))
+    places = dict.fromkeys(float(row.at) for row in quantiles)
     for name, entry in entries.items():
-        quantiles = [estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places]
         mean = estimate(answers.get(name, Kind.MEAN), name)
         sd = estimate(answers.get(name, Kind.SD), name, 3)
-        rows.append((title_of(name, entry), mean, sd, *quantiles))
+        cells = (estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places)
+        rows.append((title_of(name, entry), mean, sd, *cells))
     return PageTable(
         "Distributions at the plan",
         ("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
@@ -351,16 +350,17 @@ def margins(results: Results) -> PageTable:
     answers = table_of(results)
     if free is None:
         return PageTable()
-    asked = dict[str, list[float]]()
+    asked = dict[str, None]()
+    levels = set[float]()
     for name in results.study.limits:
         for row in answers.where(f"limits.{name}", Kind.MARGIN):
             if isinstance(row.at, float) and row.value is not None:
-                asked.setdefault(name, []).append(row.at)
+                asked[name] = None
+                levels.add(row.at)
     body = []
-    for p in sorted({*itertools.chain(*asked.values())}):
-        values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked]
-        cells = [estimate(row, free.path) for row in values]
-        body.append((format_probability(p), *cells))
+    for p in sorted(levels):
+        margins = (answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
+        body.append((format_probability(p), *(estimate(row, free.path) for row in margins)))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
         ("probability", *asked),
@@ -375,29 +375,28 @@ def drivers(results: Results) -> list[PageTable]:
     changes = dict[str, dict[str, str]]()
     points = dict[str, dict[str, str]]()
     for subject, entry in entries_of(results).items():
+        # in per cent; failure is to stay whole for the aim to break
+        unit = -100.0 if entry.aim == "break" else 100.0
         moved = {
-            str(row.at): 100.0 * (row.value or 0.0) for row in answers.where(subject, Kind.DRIVER)
+            _shared_name(row): unit * (row.value or 0.0)
+            for row in answers.where(subject, Kind.DRIVER)
         }
-        if entry.aim == "break":  # failure is to stay whole
-            moved = {name: -x for name, x in moved.items()}
         most = max(map(abs, moved.values()), default=0.0)
         if most == 0.0:
             continue
         # three digits of the largest in a column
         decimals = max(2 - math.floor(math.log10(most)), 0)
         form = f"+.{decimals}f" if decimals < 6 else "+.1e"
-        # the strength of a limit is a row that all limits share
-        names = {name: "" if name.endswith(".strength") else name for name in moved}
-        changes[label(subject)] = {names[name]: format(x, form) for name, x in moved.items()}
+        changes[label(subject)] = {name: format(x, form) for name, x in moved.items()}
         for name, x in moved.items():
-            largest[names[name]] = max(largest.get(names[name], 0.0), abs(x))
+            largest[name] = max(largest.get(name, 0.0), abs(x))
         texts = {}
         for row in answers.where(subject, Kind.DESIGN_POINT):
-            name = str(row.at)
-            texts[name] = value(row.value, name)
-            if name.endswith(".strength"):
+            name = _shared_name(row)
+            texts[name] = value(row.value, name or entry.quantity)
+            if not name and entry.tests:
                 # in terms of the test force
-                texts[""] = DASH if entry.tests else value(row.value, entry.quantity)
+                texts[name] = DASH
         if texts:
             points[label(subject)] = texts
     ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
@@ -414,6 +413,12 @@ def drivers(results: Results) -> list[PageTable]:
         if columns:
             tables.append(PageTable(caption, ("input", *columns), rows, note=note))
     return tables
+
+
+def _shared_name(row: Answer) -> str:
+    """The input of a row; empty for the strength of a limit, which is a row that limits share."""
+    name = str(row.at)
+    return "" if name.endswith(".strength") else name
 
 
 def paper(results: Results) -> PageTable:
