@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from uqsphere.report import summary
-from uqsphere.report.sentences import STOPPED, all_modes, decision_text, doubt_text
+from uqsphere.report.sentences import STOPPED, DecisionText, all_modes, doubt_text
 from uqsphere.report.tables import indices, limits
 from uqsphere.results.types import (
     Caveat,
@@ -64,7 +64,7 @@ def test_the_sentence_has_number_plan_and_what_governs(granite: Results) -> None
         governs=True,
         tests=20,
     )
-    text = decision_text(granite, decision(doubts=[doubt]))
+    text = DecisionText(granite, decision(doubts=[doubt]))
     assert text.use == "Use at most 0.65 m/s"
     assert text.sentence == (
         "Planned striker speed: 0.5 m/s, safety factor 1.3. "
@@ -87,20 +87,20 @@ def test_the_probability_by_what_governs_comes_first(granite: Results) -> None:
         joint=True,
         tests=20,
     )
-    text = decision_text(granite, decision(doubts=[doubt], all_modes=Range(value=0.002)))
+    text = DecisionText(granite, decision(doubts=[doubt], all_modes=Range(value=0.002)))
     assert text.broken == (
         "Fracture probability at the planned value: 2.4 % by what governs; as computed, 0.2 %, by "
         "your own limits and with all failure modes. Target: at most 1 %."
     )
     assert doubt_text(doubt).endswith("; with the other modes")
     for change in ({"code": "computation"}, {"at_plan": Range(value=0.001)}):
-        milder = decision_text(granite, decision(doubts=[doubt.model_copy(update=change)]))
+        milder = DecisionText(granite, decision(doubts=[doubt.model_copy(update=change)]))
         assert "by what governs" not in milder.broken
 
 
 def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Results) -> None:
     library = LibraryRange(mode="core tension", middle=0.122, weak=0.064, strong=0.27, own=0.65)
-    text = decision_text(
+    text = DecisionText(
         granite,
         decision(
             governing="modes.core tension",
@@ -134,7 +134,7 @@ def test_damage_over_the_target_is_told_though_it_does_not_count(granite: Result
         )
         for p, counts in ((0.91, False), (0.002, False), (0.91, True))
     ]
-    told = [decision_text(granite, decision(doubts=[row])).open for row in rows]
+    told = [DecisionText(granite, decision(doubts=[row])).open for row in rows]
     assert told == [
         [
             "damage that is not counted: ring crack in 91 % of the spheres at the planned value, "
@@ -156,7 +156,7 @@ def test_a_total_says_what_it_leaves_out(granite: Results) -> None:
         doubts=[Doubt(**row, counts=False)], all_modes=Range(value=0.34), probability=Range(value=0)
     )
     assert all_modes(judged) == "all but ring crack (damage)"
-    assert "34 % with all but ring crack (damage)" in decision_text(granite, judged).broken
+    assert "34 % with all but ring crack (damage)" in DecisionText(granite, judged).broken
     assert all_modes(decision()) == "all failure modes"
 
 
@@ -168,7 +168,7 @@ def test_a_number_to_use_without_a_unit_says_what_it_is_of(granite: Results) -> 
         free = granite.study.free.model_copy(update=free)
         study = granite.study.model_copy(update={"free": free})
         results = granite.model_copy(update={"study": study})
-        texts.append(decision_text(results, decision(use=used(0.36))).use)
+        texts.append(DecisionText(results, decision(use=used(0.36))).use)
     assert texts == [
         "Use at most 0.36 times the measured pulse",
         "Use at most 0.36 (Poisson ratio)",
@@ -186,13 +186,13 @@ def test_a_number_to_use_without_a_unit_says_what_it_is_of(granite: Results) -> 
 def test_a_number_outside_the_model_is_told(granite: Results, where: str, said: str) -> None:
     caveat = Caveat(code="model range", subject="small_contact", text=f"{where}all samples: a/r")
     remedy = Remedy(code="leave the model's range", subject="small_contact")
-    text = decision_text(granite, decision(caveats=[caveat], next=remedy))
+    text = DecisionText(granite, decision(caveats=[caveat], next=remedy))
     assert text.next.startswith(said)
     assert "safety factor" not in text.sentence
 
 
 def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results) -> None:
-    text = decision_text(
+    text = DecisionText(
         granite,
         decision(
             aim="break",
@@ -208,7 +208,7 @@ def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results
 
 
 def test_a_probability_of_which_nothing_was_seen_is_below_its_bound(granite: Results) -> None:
-    text = decision_text(granite, decision(probability=Range(value=0.0, low=0.0, high=7.32e-4)))
+    text = DecisionText(granite, decision(probability=Range(value=0.0, low=0.0, high=7.32e-4)))
     assert "below 0.074 %" in text.broken
     assert " 0 %" not in text.broken
 
@@ -218,13 +218,13 @@ def test_what_a_number_of_tests_buys_is_told(granite: Results) -> None:
     remedy = Remedy.model_validate(
         {"code": "test more", "subject": "limits.crushing", "gains": gains}
     )
-    text = decision_text(granite, decision(next=remedy))
+    text = DecisionText(granite, decision(next=remedy))
     assert text.gains == [("25 tests", "0.7 m/s"), ("100 tests", "0.8 m/s")]
     assert text.lines()[-1].endswith("25 tests: 0.7 m/s; 100 tests: 0.8 m/s.")
 
 
 def test_no_number_says_by_which_limit(granite: Results) -> None:
-    text = decision_text(granite, decision(use=None, blocked_by="modes.ring crack", own=0.65))
+    text = DecisionText(granite, decision(use=None, blocked_by="modes.ring crack", own=0.65))
     assert text.use == "No value to use"
     assert "Ring crack exceeds its target everywhere between 50 mm/s" in text.sentence or (
         "Ring crack exceeds its target everywhere between 0.05 m/s and" in text.sentence
@@ -236,17 +236,17 @@ def test_synthetic_tests_of_several_limits_are_one_clause(granite: Results) -> N
     caveats = [
         Caveat(code="synthetic tests", subject=f"{name}.strength") for name in ("force", "energy")
     ]
-    text = decision_text(granite, decision(caveats=caveats))
+    text = DecisionText(granite, decision(caveats=caveats))
     assert text.open == ["the tests of force and energy are synthetic, not measured"]
 
 
 def test_a_check_that_fails_stands_beside_the_number(granite: Results) -> None:
     failed = CheckEntry(name="contact_size", text="a/r is 1.6", share=1.0, grade="failure")
     results = granite.model_copy(update={"checks": [failed], "decisions": [decision()]})
-    assert decision_text(results, decision()).open == ["check failed: a/r is 1.6"]
+    assert DecisionText(results, decision()).open == ["check failed: a/r is 1.6"]
     assert "check failed: a/r is 1.6" in summary(results)
     known = decision(caveats=[Caveat(code="model range", subject="contact_size", text="a/r")])
-    assert decision_text(results, known).open == ["a/r"]
+    assert DecisionText(results, known).open == ["a/r"]
 
 
 def test_the_terminal_has_no_codes(granite: Results) -> None:
@@ -277,8 +277,8 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:
     remedy = Remedy(code="test the lower tail", subject="limits.crushing", at_best=0.42)
-    survives = decision_text(granite, decision(next=remedy)).next
-    breaks = decision_text(granite, decision(aim="break", next=remedy)).next
+    survives = DecisionText(granite, decision(next=remedy)).next
+    breaks = DecisionText(granite, decision(aim="break", next=remedy)).next
     assert "the lower tail of the strength decides" in survives
     assert "the upper tail of the strength decides" in breaks
     assert survives.endswith("; the number to use would then be 0.42 m/s at best.")

@@ -13,7 +13,7 @@ from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.report.format import DASH, change_text, ends_of, label, meaning, value
-from uqsphere.report.sentences import decision_text, plain_name
+from uqsphere.report.sentences import DecisionText, plain_name
 from uqsphere.results import Run
 from uqsphere.results.types import Answer, InputEntry, Kind
 
@@ -137,7 +137,7 @@ def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
             if decision is None:
                 lines.append(f"  {name}: no limit")
                 continue
-            text = decision_text(run.results, decision)
+            text = DecisionText(run.results, decision)
             governing = plain_name(decision.governing)
             lines.append(f"  {name}: {text.use}; {text.verdict}; {governing} governs")
             lines.append(f"    {text.broken}")

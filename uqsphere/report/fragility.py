@@ -30,7 +30,7 @@ from uqsphere.report.pictures import (
     plain_logarithms,
     write,
 )
-from uqsphere.report.sentences import all_modes, decision_text
+from uqsphere.report.sentences import DecisionText, all_modes
 from uqsphere.results.types import CurvePoint, Decision, FreeNumber, Kind, Results
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def draw_fragility(
         text = f"{word} {format_value(planned, free.path, 3)}"
         below.append(_Label(planned * factor, text, INK))
     for decision in used:
-        text = small(decision_text(results, decision).use)
+        text = small(DecisionText(results, decision).use)
         if brief:
             text = text.partition(" (")[0]
             text = text.replace("use at most", "≤").replace("use at least", "≥")

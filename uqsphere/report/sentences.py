@@ -6,7 +6,7 @@ Results hold values and codes; words are made of them here, for page, terminal, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
@@ -52,24 +52,21 @@ METHODS = {
 NO_LIMIT = "No limit state is defined; the run reports distributions and sensitivities only."
 
 
-@dataclass(frozen=True, kw_only=True)
 class DecisionText:
     """What a report says of one decision.
 
-    use : the number to use, with its side: "Use at most 0.12 m/s"
-    sentence : the sentence to act on, of at most 45 words
-    broken : probability at the plan, and the target
-    next : what to do; gains : what a number of tests would buy; open : why it is not established
+    aim, verdict : "To survive", and whether it is met
+    gains : what a number of tests would buy, as (tests, number to use)
     """
 
-    aim: str
-    verdict: str
-    use: str
-    sentence: str
-    broken: str
-    next: str
-    gains: Sequence[tuple[str, str]]
-    open: Sequence[str]
+    def __init__(self, results: Results, decision: Decision) -> None:
+        self.results, self.decision = results, decision
+        self.free = results.study.free
+        self.least = is_least(decision)
+        self.aim = f"To {decision.aim}"
+        self.verdict = decision.verdict
+        gains = decision.next.gains
+        self.gains = [(f"{gain.tests} tests", self.number(gain.median)) for gain in gains]
 
     def lines(self) -> list[str]:
         """The text of a terminal: one paragraph a line."""
@@ -81,118 +78,6 @@ class DecisionText:
             lines[-1] += " " + "; ".join(f"{tests}: {number}" for tests, number in self.gains) + "."
         return lines
 
-
-def decision_texts(results: Results) -> list[DecisionText]:
-    """The words of every decision of a run."""
-    return [decision_text(results, decision) for decision in results.decisions]
-
-
-def decision_text(results: Results, decision: Decision) -> DecisionText:
-    """The words of a decision."""
-    writer = _Writer(results, decision)
-    return DecisionText(
-        aim=f"To {decision.aim}",
-        verdict=decision.verdict,
-        use=writer.use(),
-        sentence=writer.sentence(),
-        broken=writer.at_the_plan(),
-        next=writer.next(),
-        gains=[(f"{gain.tests} tests", writer.number(gain.median)) for gain in decision.next.gains],
-        open=_open(results, decision),
-    )
-
-
-def _open(results: Results, decision: Decision) -> list[str]:
-    """Why a verdict is not established, and checks that fail."""
-    texts = []
-    synthetic = []
-    for caveat in decision.caveats:
-        if caveat.code == "synthetic tests":
-            synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
-        else:
-            texts.append(caveat_text(caveat))
-    if synthetic:
-        texts.append(f"the tests of {listed(synthetic)} are synthetic, not measured")
-    if decision.verdict == "undecided":
-        texts += _undecided(decision)
-    told = {caveat.subject for caveat in decision.caveats}
-    for check in results.checks:
-        if check.grade == "failure" and check.name not in told:
-            effect = f" ({check.effect})" if check.effect else ""
-            texts.append(f"check failed: {check.text}{effect}")
-    free = results.study.free
-    for doubt in decision.doubts:
-        if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
-            name = plain_name(doubt.subject)
-            p = plain_probability(doubt.at_plan)
-            text = f"damage that is not counted: {name} in {p} of the spheres at the planned value"
-            if doubt.margin is not None and free is not None:
-                at = value(doubt.margin, free.path)
-                text += f", in {format_probability(doubt.target)} at {at}"
-            texts.append(f"{text} (analysis.damage_counts = true counts it)")
-    return texts
-
-
-def limit_notes(results: Results) -> list[str]:
-    """What is to be known of the strengths in the table of limits: stated without tests, assumed,
-    and damage.
-    """
-    notes = []
-    entries = results.study.limits.items()
-    stated = [name for name, entry in entries if entry.fracture and not entry.tests]
-    if stated:
-        names = listed(stated)
-        notes.append(f"strength stated without tests, its uncertainty in no range here: {names}")
-    if results.study.modes:
-        notes.append("* assumed: library strength, not measured on this rock")
-    damage = damage_modes(results.decisions)
-    if damage:
-        notes.append(f"damage, not counted as fracture: {listed(damage)}")
-    return notes
-
-
-def all_modes(decision: Decision) -> str:
-    """What adds up in a decision: all failure modes, but those that are damage.
-
-    The total may lie below the probability of a mode that is left out.
-    """
-    damage = damage_modes([decision])
-    if damage:
-        return f"all but {listed(damage)} (damage)"
-    return "all failure modes"
-
-
-def _undecided(decision: Decision) -> list[str]:
-    """The doubt under which the planned value misses its target by most."""
-    doubts = [doubt for doubt in decision.doubts if doubt.counts and doubt.at_plan.value]
-    if not doubts:
-        return []
-    worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
-    p = plain_probability(as_event(decision, worst.at_plan))
-    name = plain_name(worst.subject)
-    side = "down to" if decision.aim == "break" else "up to"
-    return [f"fracture probability at the planned value {side} {p} ({name}, {_words(worst)[0]})"]
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words as a list in a sentence.
-
-    >>> listed(["a", "b", "c"]), listed(["a"])
-    ('a, b and c', 'a')
-    """
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-class _Writer:
-    """Words of one decision of a run."""
-
-    def __init__(self, results: Results, decision: Decision) -> None:
-        self.results, self.decision = results, decision
-        self.free = results.study.free
-        self.least = is_least(decision)
-
     def number(self, x: float | None) -> str:
         """A value of the free number, rounded to its conservative side."""
         if x is None or self.free is None:
@@ -202,8 +87,9 @@ class _Writer:
     def allowed(self, x: float) -> str:
         return f"at {'least' if self.least else 'most'} {self.number(x)}"
 
+    @cached_property
     def use(self) -> str:
-        """The number to use, or that there is none."""
+        """The number to use, with its side, "Use at most 0.12 m/s"; or that there is none."""
         if self.decision.use is not None:
             assert self.free is not None
             text = f"Use {self.allowed(self.decision.use.value)}"
@@ -229,20 +115,22 @@ class _Writer:
         assert self.free is not None
         return " and ".join(value(x, self.free.path) for x in (self.free.low, self.free.high))
 
+    @cached_property
     def sentence(self) -> str:
-        """What governs the number, its margin to the plan, and what else would be allowed."""
+        """The sentence to act on, of at most 45 words: what governs the number, its margin to the
+        plan, and what else would be allowed.
+        """
         decision = self.decision
-        parts = list[str]()
         if decision.target is None and decision.use is None:
             return "No target is set."
         if self.free is None:
             return f"{self.target()}. Add [margins] for a number to use."
         used = ""
         if decision.use is None:
-            parts += [self.why_none(), self.plan()]
+            parts = [self.why_none(), self.plan()]
         else:
             used = self.number(decision.use.value)
-            parts += [self.plan(), self.governs()]
+            parts = [self.plan(), self.governs()]
         if decision.own is not None and self.number(decision.own) != used:
             parts.append(f"By your own limits: {self.allowed(decision.own)}.")
         return " ".join(filter(None, parts))
@@ -257,10 +145,9 @@ class _Writer:
         text = f"Planned {self.free.meaning}: {value(planned, self.free.path)}"
         if use is None or use.value <= 0.0 or planned <= 0.0:
             return f"{text}."
-        rounded = round_conservative(use.value, use.path, least=self.least)
-        factor = rounded / planned
+        factor = round_conservative(use.value, use.path, least=self.least) / planned
         if self.least:
-            factor = planned / rounded
+            factor = 1.0 / factor
         if factor < 1.0:
             return f"{text}, no margin."
         if any(caveat.code in ("model range", "rate") for caveat in self.decision.caveats):
@@ -269,24 +156,23 @@ class _Writer:
 
     def governs(self) -> str:
         """What sets the number to use."""
-        decision = self.decision
         library = self.decision.library
-        name = plain_name(decision.governing)
+        text = f"{capital(plain_name(self.decision.governing))} governs"
         if library is not None:
-            text = f"{capital(name)} governs, with a strength of the library"
+            text = f"{text}, with a strength of the library"
             if library.weak is None or library.strong is None:
                 return f"{text}."
             weak = self.number(library.weak)
             strong = self.number(library.strong)
             return f"{text} (its weak end: {weak}, its strong end: {strong})."
-        doubts = [doubt for doubt in decision.doubts if doubt.governs]
-        if not doubts:
-            return f"{capital(name)} governs."
-        clause = _words(doubts[0])[0]
-        if doubts[0].code in ("tests", "computation"):
-            end = "upper" if self.least else "lower"
-            clause = f"by the {end} end of {clause.removeprefix('with ')}"
-        return f"{capital(name)} governs, {clause}."
+        for doubt in self.decision.doubts:
+            if doubt.governs:
+                clause = _words(doubt)[0]
+                if doubt.code in ("tests", "computation"):
+                    end = "upper" if self.least else "lower"
+                    clause = f"by the {end} end of {clause.removeprefix('with ')}"
+                return f"{text}, {clause}."
+        return f"{text}."
 
     def why_none(self) -> str:
         """Why there is no number to use."""
@@ -306,7 +192,8 @@ class _Writer:
             return "fracture probability"
         return "probability of exceedance"
 
-    def at_the_plan(self) -> str:
+    @cached_property
+    def broken(self) -> str:
         """The probability at the plan: by what governs where that is worse, by all modes and by
         the study's limits; and the target.
         """
@@ -343,24 +230,24 @@ class _Writer:
             return f"Target: at least {format_probability(1.0 - target)}"
         return f"Target: at most {format_probability(target)}"
 
+    @cached_property
     def next(self) -> str:
         """What to do about the doubt that governs."""
         remedy = self.decision.next
-        tail = "upper" if self.decision.aim == "break" else "lower"
         subject = plain_name(remedy.subject)
         if remedy.code == "leave the model's range":
             subject = subject.replace("_", " ")
-            ranges = [c for c in self.decision.caveats if c.code == "model range"]
-            outside = [c for c in ranges if "at the number to use, " in c.text.partition(":")[0]]
-            outside = [c for c in outside if ", not at" not in c.text]
-            if outside:
-                name = outside[0].subject.replace("_", " ")
-                return (
-                    f"The number to use lies outside the model's range ({name}): "
-                    "test in the machine."
-                )
+            for caveat in self.decision.caveats:
+                at_number = "at the number to use, " in caveat.text.partition(":")[0]
+                if caveat.code == "model range" and at_number and ", not at" not in caveat.text:
+                    name = caveat.subject.replace("_", " ")
+                    return (
+                        f"The number to use lies outside the model's range ({name}): "
+                        "test in the machine."
+                    )
         if remedy.code == "widen the range" and self.kept_everywhere():
             return "Widen margins.between to find where the target is missed."
+        tail = "upper" if self.decision.aim == "break" else "lower"
         text = _REMEDIES[remedy.code].format(subject=subject, tail=tail)
         if remedy.code == "measure the strength":
             text = f"Measure the {_strength_name(self.results, remedy.subject)} of this rock"
@@ -373,6 +260,44 @@ class _Writer:
                 condition = f", if {subject} never fails"
             return f"{text}; the number to use would then be {best} at best{condition}."
         return f"{text}."
+
+    @cached_property
+    def open(self) -> list[str]:
+        """Why a verdict is not established, and checks that fail."""
+        decision = self.decision
+        texts = []
+        synthetic = []
+        for caveat in decision.caveats:
+            if caveat.code == "synthetic tests":
+                synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
+            else:
+                texts.append(caveat_text(caveat))
+        if synthetic:
+            texts.append(f"the tests of {listed(synthetic)} are synthetic, not measured")
+        if decision.verdict == "undecided":
+            texts += _undecided(decision)
+        told = {caveat.subject for caveat in decision.caveats}
+        for check in self.results.checks:
+            if check.grade == "failure" and check.name not in told:
+                effect = f" ({check.effect})" if check.effect else ""
+                texts.append(f"check failed: {check.text}{effect}")
+        for doubt in decision.doubts:
+            if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
+                name = plain_name(doubt.subject)
+                p = plain_probability(doubt.at_plan)
+                text = (
+                    f"damage that is not counted: {name} in {p} of the spheres at the planned value"
+                )
+                if doubt.margin is not None and self.free is not None:
+                    at = value(doubt.margin, self.free.path)
+                    text += f", in {format_probability(doubt.target)} at {at}"
+                texts.append(f"{text} (analysis.damage_counts = true counts it)")
+        return texts
+
+
+def decision_texts(results: Results) -> list[DecisionText]:
+    """The words of every decision of a run."""
+    return [DecisionText(results, decision) for decision in results.decisions]
 
 
 _REMEDIES = {
@@ -394,6 +319,58 @@ _REMEDIES = {
     "include the rate": "Give {subject} at the strain rate of the rig: rate_0, or dynamic tests",
     "leave the model's range": "Choose a plan within the model's range: {subject}",
 }
+
+
+def _undecided(decision: Decision) -> list[str]:
+    """The doubt under which the planned value misses its target by most."""
+    doubts = [doubt for doubt in decision.doubts if doubt.counts and doubt.at_plan.value]
+    if not doubts:
+        return []
+    worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
+    p = plain_probability(as_event(decision, worst.at_plan))
+    name = plain_name(worst.subject)
+    side = "down to" if decision.aim == "break" else "up to"
+    return [f"fracture probability at the planned value {side} {p} ({name}, {_words(worst)[0]})"]
+
+
+def limit_notes(results: Results) -> list[str]:
+    """What is to be known of the strengths in the table of limits: stated without tests, assumed,
+    and damage.
+    """
+    notes = []
+    entries = results.study.limits.items()
+    stated = [name for name, entry in entries if entry.fracture and not entry.tests]
+    if stated:
+        names = listed(stated)
+        notes.append(f"strength stated without tests, its uncertainty in no range here: {names}")
+    if results.study.modes:
+        notes.append("* assumed: library strength, not measured on this rock")
+    damage = damage_modes(results.decisions)
+    if damage:
+        notes.append(f"damage, not counted as fracture: {listed(damage)}")
+    return notes
+
+
+def all_modes(decision: Decision) -> str:
+    """What adds up in a decision: all failure modes, but those that are damage.
+
+    The total may lie below the probability of a mode that is left out.
+    """
+    damage = damage_modes([decision])
+    if damage:
+        return f"all but {listed(damage)} (damage)"
+    return "all failure modes"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence.
+
+    >>> listed(["a", "b", "c"]), listed(["a"])
+    ('a, b and c', 'a')
+    """
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def joint_event(decision: Decision) -> Range:

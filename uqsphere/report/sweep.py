@@ -23,8 +23,8 @@ from uqsphere.report.figures import COLOURS, Picture, svg
 from uqsphere.report.format import capital, plain_probability, short, with_unit
 from uqsphere.report.page import render
 from uqsphere.report.sentences import (
+    DecisionText,
     chart_title,
-    decision_text,
     exceedance_name,
     joint_event,
     plain_name,
@@ -273,7 +273,7 @@ def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     name = ""
     for point, results, decision in _each(sweep, runs):
         name = exceedance_name(results).lower()
-        use = decision_text(results, decision).use
+        use = DecisionText(results, decision).use
         p = plain_probability(joint_event(decision))
         governs = plain_name(decision.governing)
         rows.append((*point.values.values(), use, p, decision.verdict, governs))
