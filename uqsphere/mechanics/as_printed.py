@@ -3,8 +3,6 @@
 W. K. Nowacki, Engng. Trans. 42(3), 263–279, 1994; docs/errata.md says what is wrong with each.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

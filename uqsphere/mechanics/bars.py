@@ -14,8 +14,6 @@ mean stress of the section. Sources: D. Bancroft, Phys. Rev. 59, 588 (1941), doi
 10.1098/rsta.1948.0001; A. Tyas and A. J. Wilson, Int. J. Impact Eng. 25, 87 (2001) for M_1 and M_2.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -10,8 +10,6 @@ Phys. Rev. 59 (1941) 669), and its results are tabulated.  A contact that yields
 energy balance.  Equation numbers (R...) refer to docs/theory.md.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from functools import cache
@@ -143,9 +141,8 @@ def _massless(scene: Scene) -> dict[str, Array]:
     time_to_first_loss is always censored at the end of the window, the horizon or the time at which
     the force has decayed to 1 % of the peak.
     """
-    good = scene.status == 0
-    theta = np.where(good, scene.scales.pulse_number, 1.0)
-    horizon = np.where(good, scene.record_end / scene.scales.time, 1.0)
+    theta = scene.scales.pulse_number
+    horizon = scene.record_end / scene.scales.time
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
     tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
@@ -155,7 +152,7 @@ def _massless(scene: Scene) -> dict[str, Array]:
     after = np.maximum(ended - theta, 0.0)
     remaining = np.where(ended > theta, relaxing_approach(peak, after), peak)
     remaining = np.where(np.isfinite(horizon), remaining, 0.0)
-    tracked = {
+    return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
         "difference": np.zeros_like(peak),
@@ -165,7 +162,6 @@ def _massless(scene: Scene) -> dict[str, Array]:
         "duration": (loaded - remaining) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
     }
-    return {name: np.where(good, column, np.nan) for name, column in tracked.items()}
 
 
 def reduced_mass(mass: Values, partner: Values) -> Values:

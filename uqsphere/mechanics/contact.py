@@ -5,8 +5,6 @@ radius of curvature, equal to the sphere's radius on a flat face.
 Source: K. L. Johnson, Contact Mechanics, 1985, ch. 4; equation numbers of docs/theory.md.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ the rows inside the range of the formula; the demand is computed outside too, si
 would count as survival.
 """
 
-from __future__ import annotations
-
 import math
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping

@@ -10,8 +10,6 @@ energy of both bodies is limited it has partner, (1 - nu²)/E [1/Pa] of the coun
 own rig.  Platens have E [Pa], infinite if rigid, and nu.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TypeAlias
 

@@ -6,8 +6,6 @@ material is not assessed; and, unless there is one, its criterion: an entry of `
 a formula in `criteria.FORMULAS`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal

@@ -6,8 +6,6 @@ leave it determine the whole bar.  The paper's (3.17) holds for gauges midway al
 length without reflections; here a gauge may be anywhere, and every reflection is in its signal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Required and optional keys of every table of a scene, by its kind; studies require a few more."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from uqsphere.mechanics.rigs import RIGS

@@ -6,8 +6,6 @@ time at which the motion reaches it, within the evaluation window of the quantit
 Criteria with a rate effect use one rate per sample, that of the whole window.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType

@@ -4,8 +4,6 @@ In the table all numbers are in SI; an empty upper bound is infinite; bounds are
 they are closed.  A value outside the plausible range gets a warning.
 """
 
-from __future__ import annotations
-
 import csv
 import tomllib
 from importlib import resources

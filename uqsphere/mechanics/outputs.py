@@ -5,8 +5,6 @@ its `quantity` and that is not there, such as the core tension, is the demand of
 all of it is in ``criteria.toml``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial

@@ -5,8 +5,6 @@ formula), so that the integrator can end its steps exactly where a pulse or a de
 shapes conserve the striker's impulse where theory (20) says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise

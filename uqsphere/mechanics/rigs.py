@@ -9,8 +9,6 @@ their numbers in ``inputs.csv``, and its keys in a study (`uqsphere.study.docume
 Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Roots of many rows at once, by bisection and by Newton's method."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -12,8 +12,6 @@ absent; the ranges of the criteria say which rows are concerned.  Below a/r = 0.
 some 7 % of the half space's value; above 0.3 Hertz's contact has ended anyway.
 """
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

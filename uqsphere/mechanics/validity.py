@@ -5,8 +5,6 @@ never stops a run; it is reported with the percentage of rows concerned.  Failed
 are excluded.  Thresholds and sentences are in ``validity.toml``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -2,8 +2,6 @@
 side.
 """
 
-from __future__ import annotations
-
 from uqsphere.report.page import page, page_files, write_page
 from uqsphere.report.terminal import summary
 

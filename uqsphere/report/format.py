@@ -1,7 +1,5 @@
 """Answers as text, for page, terminal and figures alike; and what stands in one row."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 The page computes nothing: every number is in the results.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

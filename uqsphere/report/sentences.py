@@ -3,8 +3,6 @@
 Results hold values and codes; words are made of them here, for page, terminal, compare and sweep.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import chain

@@ -192,7 +192,7 @@ def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
         return _materials()
-    rows: list[tuple[str, ...]]
+    rows: list[tuple[str, ...]] = [("distribution", "keys")]
     if what == "quantities":
         rows = [("quantity", "unit", "meaning")]
         rows += [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
@@ -200,7 +200,6 @@ def listing(what: str) -> str:
         rows = [("criterion", "meaning")]
         rows += [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
     else:
-        rows = [("distribution", "keys")]
         rows += [(name, law.allowed() or "values, or a file") for name, law in FAMILIES.items()]
     return "\n".join(columns(rows))
 

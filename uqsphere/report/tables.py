@@ -1,7 +1,5 @@
 """The tables of a run: what the page shows whole, and the terminal in part."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

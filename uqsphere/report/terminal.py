@@ -1,7 +1,5 @@
 """The terminal's summary of a run, in 40 lines."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable, Sequence
 
