@@ -69,11 +69,13 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     """What `compare` lists, in its order."""
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    answers = dict[tuple[str, Kind, str, str], Array]()
+    answers = dict[tuple[str, Kind, str], Array]()
+    units = dict[tuple[str, Kind, str], str]()
     for number, run in enumerate(runs):
         for row in run.results.answers:
             if row.answer in COMPARED:
-                place = (row.subject, row.answer, str(row.at), row.unit)
+                place = (row.subject, row.answer, str(row.at))
+                units.setdefault(place, row.unit)
                 answers.setdefault(place, np.full((len(runs), 3), np.nan))[number] = ends_of(row)
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
@@ -92,7 +94,9 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
         most = int(abs(relative).argmax())
         width = math.hypot(half_widths[0], half_widths[most])
         significant = bool(abs(difference[most]) > width)
-        changes.append(_Change(*place, ends, float(relative[most]), most, significant))
+        changes.append(
+            _Change(*place, units[place], ends, float(relative[most]), most, significant)
+        )
     return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 

@@ -148,7 +148,7 @@ def change_text(before: Sequence[float], after: Sequence[float]) -> str:
     return f"{100.0 * (ratio - 1.0):+.3g} %"
 
 
-def complement(p: Range) -> Range:
+def complement(p: Estimated) -> Range:
     """The probability of the opposite event; of one that is certain but for the last bit, below
     that bit.
 

@@ -3,6 +3,7 @@
 Results hold values and codes; words are made of them here, for page, terminal, compare and sweep.
 """
 
+import re
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import chain
@@ -389,23 +390,16 @@ def plain_name(subject: str) -> str:
     >>> plain_name("modes.core tension"), plain_name("")
     ('core tension', 'all failure modes together')
     """
-    for kind in ("limits.", "modes."):
-        if subject.startswith(kind):
-            return subject.removeprefix(kind)
-    return subject or "all failure modes together"
+    return re.sub(r"^(limits|modes)\.", "", subject) or "all failure modes together"
 
 
 def _strength_name(results: Results, subject: str) -> str:
     """The property that a strength of the library is: "fracture toughness"."""
     name = plain_name(subject)
-    names = {name}
     entry = results.study.modes.get(name)
-    if entry is not None:
-        names.add(entry.mode)
-    for mode in FAILURE_MODES.values():
-        if mode.name in names:
-            return f"{mode.strength.replace('_', ' ')} ({name})"
-    return f"strength ({name})"
+    mode_name = entry.mode if entry else name
+    strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
+    return f"{strengths.get(mode_name, 'strength')} ({name})"
 
 
 def _words(doubt: Doubt) -> tuple[str, str]:
@@ -530,5 +524,5 @@ def chart_title(results: Results) -> str:
 
 
 def exceedance_name(results: Results) -> str:
-    """What the probability of a limit is of."""
-    return chart_title(results).replace("Probability of fracture", "Fracture probability")
+    """What the probability of a limit is of: "fracture probability"."""
+    return chart_title(results).lower().replace("probability of fracture", "fracture probability")

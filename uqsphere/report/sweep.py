@@ -272,7 +272,7 @@ def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     rows = []
     name = ""
     for point, results, decision in _each(sweep, runs):
-        name = exceedance_name(results).lower()
+        name = exceedance_name(results)
         use = DecisionText(results, decision).use
         p = plain_probability(joint_event(decision))
         governs = plain_name(decision.governing)

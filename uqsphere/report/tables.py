@@ -44,7 +44,6 @@ from uqsphere.results.types import (
     InputEntry,
     Kind,
     LimitEntry,
-    Range,
     Results,
 )
 
@@ -119,15 +118,14 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         return -doubt.margin if least else doubt.margin
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
-    margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
-    texts = iter(format_together(margins, free.path))
+    texts = iter(format_together(_margins(doubts), free.path))
     notes = {"everywhere": "whole range", "nowhere": "none", "": DASH}
     rows = []
     for doubt in doubts:
         margin = notes[doubt.margin_note] if doubt.margin is None else next(texts)
         at = (probability(as_event(decision, p)) for p in (doubt.at_number, doubt.at_plan))
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
-    name = exceedance_name(results).lower()
+    name = exceedance_name(results)
     marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
     note = "bold: governs"
     if marked and any(doubt.counts for doubt in doubts[: marked[0]]):
@@ -143,12 +141,16 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     return PageTable(f"To {decision.aim}", head, rows, marked, note)
 
 
+def _margins(doubts: Sequence[Doubt]) -> list[float]:
+    return [doubt.margin for doubt in doubts if doubt.margin is not None]
+
+
 def limits(results: Results) -> PageTable:
     """One line a limit or failure mode, and one for those of an aim together."""
     entries = entries_of(results)
     free = results.study.free
     answers = table_of(results)
-    head = ["limit", f"{exceedance_name(results).lower()} at the plan", "β"]
+    head = ["limit", f"{exceedance_name(results)} at the plan", "β"]
     if free is not None:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
     rows = list[Sequence[str]]()
@@ -206,14 +208,13 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
     """The free number at the target by the doubts of a limit: its conservative end, and range."""
     for decision in results.decisions:
         doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
-        margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
+        margins = _margins(doubts)
         if any(doubt.margin_note == "nowhere" for doubt in doubts):
             return ["none", DASH]
         if margins:
+            ends = (min(margins), max(margins))
             least = is_least(decision)
-            worst = max(margins) if least else min(margins)
-            number = format_conservative(worst, path, least=least)
-            return [number, value_range(min(margins), max(margins), path)]
+            return [format_conservative(ends[least], path, least=least), value_range(*ends, path)]
         if doubts:
             return ["whole range", DASH]
     return [DASH, DASH]
@@ -229,12 +230,11 @@ def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
         own = format_conservative(decision.own, path, least=least)
         rows.append(("your own limits", p, "", "", own, "", "", ""))
     if use is not None:
-        p = probability(joint_event(decision))
-        number = format_conservative(use.value, path, least=least)
-        best = value(use.best.value, path)
-        span = value_range(use.best.low, use.best.high, path)
         together = all_modes(decision).replace("all failure modes", "all together")
-        rows.append((f"{together}, to {decision.aim}", p, "", best, number, span, "", ""))
+        head = (f"{together}, to {decision.aim}", probability(joint_event(decision)), "")
+        number = format_conservative(use.value, path, least=least)
+        span = value_range(use.best.low, use.best.high, path)
+        rows.append((*head, value(use.best.value, path), number, span, "", ""))
     return rows
 
 
@@ -257,13 +257,12 @@ def assumptions(results: Results) -> PageTable:
         for row in answers.where(subject, Kind.FAILURE_PROBABILITY):
             _, sign, assumed = str(row.at).partition("assumed: ")
             if sign:
-                event = Range(value=row.value, low=row.low, high=row.high, note=row.note)
-                if entry.aim == "break":
-                    event = complement(event)
+                event = complement(row) if entry.aim == "break" else row
                 rows.append((label(subject), assumed, probability(event)))
+    name = exceedance_name(results)
     return PageTable(
-        f"{exceedance_name(results)} under other assumptions, one at a time, each limit by itself",
-        ("limit", "assumed", exceedance_name(results).lower()),
+        f"{capital(name)} under other assumptions, one at a time, each limit by itself",
+        ("limit", "assumed", name),
         rows,
     )
 
@@ -277,13 +276,13 @@ def fracture(results: Results) -> PageTable:
     rows = [("fracture probability", probability(joint))]
     for row in answers.where("fracture", Kind.MODE_SHARE):
         rows.append((f"first failure mode: {row.at}", probability(row)))
-    for kind, name, quantity in (
-        (Kind.TIME_AT_FRACTURE, "time", "contact_duration"),
-        (Kind.FORCE_AT_FRACTURE, "force", "P_max"),
+    for kind, quantity in (
+        (Kind.TIME_AT_FRACTURE, "contact_duration"),
+        (Kind.FORCE_AT_FRACTURE, "P_max"),
     ):
         median = answers.get("fracture", kind, 0.5)
         if median is not None:
-            rows.append((f"{name} at fracture, median", estimate(median, quantity)))
+            rows.append((f"{kind.replace('_', ' ')}, median", estimate(median, quantity)))
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),
@@ -329,13 +328,13 @@ def indices(results: Results) -> PageTable:
         rows.append((meaning(at, results.inputs), *cells))
     if results.study.dependence and not ranked:
         rows.append(("none: tied inputs have no Sobol’ indices", *[DASH] * len(orders)))
-    methods = {METHODS[entries[name].method_of_indices] for name in names}
+    methods = {METHODS[entries[name].method_of_indices] for name in names} - {""}
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
     heads = itertools.product([short(entries[name].meaning) for name in names], "ST")
     return PageTable(
-        f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
+        f"Sobol’ indices {', '.join(sorted(methods))}".strip(),
         ("input", *map(", ".join, heads)),
         rows,
         note=note,
@@ -360,7 +359,7 @@ def margins(results: Results) -> PageTable:
         margins = (answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
         body.append((format_probability(p), *(estimate(row, free.path) for row in margins)))
     return PageTable(
-        f"{capital(free.meaning)} for given {exceedance_name(results).lower()}",
+        f"{capital(free.meaning)} for given {exceedance_name(results)}",
         ("probability", *asked),
         body,
     )
@@ -401,7 +400,7 @@ def drivers(results: Results) -> list[PageTable]:
     shift = "percentage points per standard deviation shift of the input's mean"
     tables = []
     for columns, caption, note in (
-        (changes, f"Sensitivity of the {exceedance_name(results).lower()}", shift),
+        (changes, f"Sensitivity of the {exceedance_name(results)}", shift),
         (points, "Most probable failure (design point)", ""),
     ):
         rows = []

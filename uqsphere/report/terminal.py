@@ -57,7 +57,7 @@ def _columns(rows: Sequence[Sequence[str]], width: int) -> list[str]:
 
 
 def _limits(results: Results) -> list[Sequence[str]]:
-    head = ["failure mode", exceedance_name(results).lower(), "beta"]
+    head = ["failure mode", exceedance_name(results), "beta"]
     if results.study.free is not None:
         head += ["best estimate", "to use"]
     rows = tables.limits(results).rows[: ROWS + 2]
