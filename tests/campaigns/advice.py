@@ -113,9 +113,12 @@ def _anew(text: str, model: Model, aims: Sequence[Settled], forces: Array) -> li
     settled = []
     for today in aims:
         aim = aim_of(design, today.aim.word)
-        samples = tuple(_held_against(design, today, sample) for sample in today.line.samples)
-        line = Line(design=design, values=today.line.values, samples=samples)
-        settled.append(Settling(model=model, others=alternatives(aim)).once(aim, line))
+        samples = {
+            value: _held_against(design, today, sample)
+            for value, sample in today.line.samples.items()
+        }
+        line = Line(design=design, samples=samples)
+        settled.append(Settling(model=model, others=[*alternatives(aim)]).once(aim, line))
     return settled
 
 

@@ -21,7 +21,6 @@ import numpy as np
 from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
-from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import demands_of, strength_of
 from uqsphere.propagation.design import Design, at_normals
@@ -29,7 +28,7 @@ from uqsphere.propagation.doubts import LAWS, Doubt
 from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.free_number import moved
 from uqsphere.propagation.grow import grow
-from uqsphere.propagation.line import Line
+from uqsphere.propagation.line import Line, YieldingRows
 from uqsphere.propagation.tables import evaluate
 from uqsphere.propagation.verdict import Judged, judge
 from uqsphere.study import Limit, load_study, shipped_studies
@@ -136,9 +135,9 @@ def _rows_at(
     if settled.governing.code != "contact law" or yielding is None:
         return sample
     fresh = YieldingRows(design=yielding.design, evaluated={})
-    along = fresh.along(Line(design=design, values=(number,), samples=(sample,)))
+    along = fresh.along(Line(design=design, samples={number: sample}))
     assert along is not None
-    return along.samples[0]
+    return along.rows
 
 
 def _others(settled: Settled, limit: Limit, sample: Sample, rng: np.random.Generator) -> np.ndarray:

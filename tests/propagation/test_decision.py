@@ -21,7 +21,7 @@ from uqsphere.propagation import verdict as verdicts
 from uqsphere.propagation.demands import demands_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.doubts import Curves, alternatives
-from uqsphere.propagation.evidence import least_factor, standing
+from uqsphere.propagation.failure_modes import least_factor, standing
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import plan_of
 from uqsphere.propagation.tables import evaluate
@@ -340,7 +340,7 @@ def test_another_distribution_of_the_tests_keeps_the_declared_size_law(tmp_path:
     with Model(design.judged) as model:
         line = plan_of(design, evaluate(design, model, design.points(1)))
     at_once = Curves(aim=aim, line=line).by_strengths(limit, others["lognormal"][:3])[0, :, 0]
-    demand = demands_of(limit, line.samples[0])[0, 0]
+    demand = demands_of(limit, line.rows)[0, 0]
     for law, seen in zip(others["lognormal"], at_once, strict=False):
         assert seen == pytest.approx(law.cdf(np.array([demand]))[0], rel=1e-9)
 

@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 from tables_of import tables_of
 
-from uqsphere.propagation.fracture import _each_once
-from uqsphere.propagation.limits import failure, limits
+from uqsphere.propagation.limits import _each_once, failure, limits
+from uqsphere.results import Answers
 from uqsphere.results.types import Kind
 from uqsphere.study import Study, load_study
 
@@ -51,7 +51,7 @@ def test_a_failure_probability_is_that_of_the_closed_form(strength, aim, truth):
 
 def test_rows_of_a_limit_agree_with_each_other():
     design, tables = tables_of(study(NORMAL), load)
-    answers = limits(design, tables)
+    answers = Answers(limits(design, tables))
     failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
     exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
     index = answers.get("limits.high", Kind.RELIABILITY_INDEX)
@@ -63,7 +63,7 @@ def test_rows_of_a_limit_agree_with_each_other():
 
 def test_exceedance_is_the_complement_where_the_sphere_must_break():
     design, tables = tables_of(study(NORMAL, "break"), load)
-    answers = limits(design, tables)
+    answers = Answers(limits(design, tables))
     failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
     exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
     assert exceeded.value == pytest.approx(1.0 - failed.value, rel=1e-12)

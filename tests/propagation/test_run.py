@@ -20,7 +20,7 @@ from uqsphere import Study
 from uqsphere.errors import FolderError, TooManyFailures, UsageError
 from uqsphere.mechanics.history import trace
 from uqsphere.models.scene import scene_of
-from uqsphere.propagation.distributions import density
+from uqsphere.propagation.quantities import density
 from uqsphere.results import COLUMNS, Run
 from uqsphere.results.folder import damaged_files
 from uqsphere.results.types import Results

@@ -10,7 +10,6 @@ from tables_of import tables_of
 
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.write import Cost, cells_of, free_number_of, results_of, samples_of
-from uqsphere.results import Answers
 from uqsphere.results.answers import answers_csv, csv_text, frame_of
 from uqsphere.results.types import Answer, Kind
 from uqsphere.study import Study, load_study
@@ -35,7 +34,7 @@ def model(x):
 def results(of):
     design, tables = tables_of(of, model)
     cost = Cost(runs=7, reused=3, seconds=1.234)
-    return results_of(design, tables, Answers(), [], [], cost)
+    return results_of(design, tables, [], [], [], cost)
 
 
 def test_inputs_have_the_numbers_of_their_distributions():

@@ -22,20 +22,20 @@ from uqsphere.models.scene import check_scene
 from uqsphere.propagation import surrogate
 from uqsphere.propagation.checks import checks
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.distributions import distributions
-from uqsphere.propagation.fracture import fracture
 from uqsphere.propagation.fragility import fragility
 from uqsphere.propagation.grow import grow, pair_rows
-from uqsphere.propagation.indices import indices, salib_indices
-from uqsphere.propagation.limits import drivers, limits
+from uqsphere.propagation.limits import drivers, fracture, limits
 from uqsphere.propagation.progress import Progress, watched
+from uqsphere.propagation.quantities import distributions, indices, salib_indices
 from uqsphere.propagation.rare import design_points
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.verdict import assumed_answers, decision_of, judge
 from uqsphere.propagation.write import Cost, results_of, samples_of, written
-from uqsphere.results import Answers, Run
+from uqsphere.results import Run
+from uqsphere.results.answers import number_row
 from uqsphere.results.folder import Log, clear, locked, read_results
 from uqsphere.results.run import stored_study
+from uqsphere.results.types import Answer
 from uqsphere.study import Study
 
 __all__ = ["run"]
@@ -156,15 +156,15 @@ def run(
         else:
             tables = grow(design, evaluator, seconds=seconds, progress=report)
         judged, tables = judge(design, evaluator, tables, started + seconds)
-        answers = Answers()
+        answers = list[Answer]()
         for analysis in ANALYSES:
             answers += analysis(design, tables)
         answers += salib_indices(design, tables, evaluator)
         answers += assumed_answers(judged)
         method = "half-width over what is required"
         for runs, error in tables.reached:
-            answers.row("run", "error", float(runs), error, method=method)
-        checked = checks(design, tables, evaluator.notes)
+            answers.append(number_row("run", "error", runs, error, method=method))
+        checked = [*checks(design, tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
         took = time.monotonic() - started
         runs = evaluator.evaluations + evaluator.reused

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.propagation.checks import RANGE, Check, range_checks
-from uqsphere.propagation.contact_law import YieldingRows
 from uqsphere.propagation.decision import Settled
+from uqsphere.propagation.line import YieldingRows
 from uqsphere.results.types import Caveat
 from uqsphere.study import strength_name
 from uqsphere.study.values import FARTHEST_SIZE
@@ -16,28 +16,23 @@ from uqsphere.study.values import FARTHEST_SIZE
 
 def caveats_of(
     settled: Settled, yielding: YieldingRows | None, checks: Sequence[Check]
-) -> list[Caveat]:
-    """Why the verdict of an aim is not established; empty where nothing holds it."""
-    caveats: list[Caveat] = []
+) -> Iterator[Caveat]:
+    """Why the verdict of an aim is not established; nothing where nothing holds it."""
     design = settled.aim.design
     governing = settled.governing
     if governing.code == "assumed strength":
-        caveats.append(Caveat(code="assumed strength", subject=design.subject(governing.limit)))
-    caveats += _model_range(settled, yielding, checks)
-    caveats += _sizes(settled)
+        yield Caveat(code="assumed strength", subject=design.subject(governing.limit))
+    yield from _model_range(settled, yielding, checks)
+    yield from _sizes(settled)
     ours = tuple(f"limits.{limit.name}." for limit in settled.aim.limits)
     for code, path, text in design.study.caveats:
-        if code == "rate" and not path.startswith(ours):
-            continue
-        caveats.append(Caveat.model_validate({"code": code, "subject": path, "text": text}))
+        if code != "rate" or path.startswith(ours):
+            yield Caveat.model_validate({"code": code, "subject": path, "text": text})
     # limits on the same tests rest on one set of synthetic data
     names = [strength_name(group[0].name) for group in settled.aim.groups]
-    caveats += [
-        Caveat(code="synthetic tests", subject=name)
-        for name in dict.fromkeys([*names, *design.inputs])
-        if name in design.study.made_up
-    ]
-    return caveats
+    for name in dict.fromkeys([*names, *design.inputs]):
+        if name in design.study.made_up:
+            yield Caveat(code="synthetic tests", subject=name)
 
 
 def _model_range(
@@ -50,16 +45,15 @@ def _model_range(
     limits = settled.aim.limits
     line = settled.line
     failing: dict[str, tuple[float, str]] = {}
-    at_number: dict[str, tuple[float, str]] = {}
+    at_number = {}
     for check in checks:
         for limit in limits:
             share = check.failures.get(limit.name, 0.0)
             if check.grade == "failure" and share > limit.target:
                 failing.setdefault(check.name, (share, check.text))
     if settled.use is not None and not study.black_box:
-        nearest = int(np.argmin(np.abs(line.places - line.place_of(settled.use))))
-        few = line.few
-        under = replace(few, values=few.values[nearest:][:1], samples=few.samples[nearest:][:1])
+        nearest = line.values[np.argmin(np.abs(line.places - line.place_of(settled.use)))]
+        under = replace(line, samples={nearest: line.few.samples[nearest]})
         if yielding is not None:
             under = yielding.along(under) or under
         for check in range_checks(under, limits):

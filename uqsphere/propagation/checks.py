@@ -34,19 +34,14 @@ class Check(CheckEntry):
 
     failures: Mapping[str, float] = {}
 
-    def entry(self) -> CheckEntry:
-        """As the results have it."""
-        return CheckEntry(**self.model_dump(exclude={"failures"}))
 
-
-def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Check]:
+def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
     """Checks of the model on the first rows of every replicate, those of the tables, and what the
     model noted.
     """
-    breached = [
-        Check(name="model", text=note, share=1.0, grade="warning", effect="bias not quantified")
-        for note in notes
-    ]
+    unknown = "bias not quantified"
+    for note in notes:
+        yield Check(name="model", text=note, share=1.0, grade="warning", effect=unknown)
     sample = tables.sample
     if not design.study.black_box:
         each = max(ROWS // sample.replicates, 1)
@@ -59,38 +54,34 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> list[Ch
                 event = "failures" if limit.aim == "survive" else "samples that do not break"
                 effect = f"{format_probability(worst)} of the {event} are among them"
             elif check.grade != "note":
-                effect = "bias not quantified"
+                effect = unknown
             of_times = check.name == "grazing_contact" and check.grade == "note"
             if not of_times or not _TIMES.isdisjoint(design.columns):
-                breached.append(check.model_copy(update={"effect": effect}))
+                yield check.model_copy(update={"effect": effect})
         _, rows = inputs_at(plan)
-        breached += [*_later_loading(design, rows), *_out_of_reach(design, rows)]
+        yield from _later_loading(design, rows)
+        yield from _out_of_reach(design, rows)
     source = source_of(design, tables)
-    failed = source.dropped or float(sample.failed.mean())
+    failed = source.dropped or sample.failed.mean()
     if failed > 0.0:
-        effects = {"drop": "left out"}
-        breached.append(
-            Check(
-                name="failed_rows",
-                share=failed,
-                grade="warning",
-                text=f"{format_probability(failed)} of the model runs failed",
-                effect=effects.get(design.study.analysis.policy, "intervals widened"),
-            )
+        effects = {"drop": "left out", "bound": "intervals widened"}
+        yield Check(
+            name="failed_rows",
+            share=failed,
+            grade="warning",
+            text=f"{format_probability(failed)} of the model runs failed",
+            effect=effects[design.on_failure],
         )
     if source.refusal:
         n = tables.runs
-        breached.append(
-            Check(
-                name="few_runs",
-                share=1.0,
-                grade="note",
-                text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in "
-                "them",
-                effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
-            )
+        yield Check(
+            name="few_runs",
+            share=1.0,
+            grade="note",
+            text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
+            effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
         )
-    return [*breached, *_heavy_tails(design, tables)]
+    yield from _heavy_tails(design, tables)
 
 
 #: checks of the contact that hold a number where they fail; those of faces that yield do so from a
@@ -110,12 +101,11 @@ def range_checks(line: Line, limits: Sequence[Limit]) -> list[Check]:
     return [check for check in breached if check.name in (*RANGE, *yields)]
 
 
-def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -> list[Check]:
+def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -> Iterator[Check]:
     """The checks that rows breach, with the share of each limit's failures in rows that fail them;
     a warning of `yields` is enough.
     """
     design = line.design
-    breached = []
     current = {limit.name: limit for limit in design.judged.limits}
     weights = {}
     for limit in limits:
@@ -126,19 +116,18 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
         if result.check in yields:
             beyond = result.grades >= 2
         if result.grade:
-            check = Check(
+            failures = {
+                name: np.average(beyond, weights=weight)
+                for name, weight in weights.items()
+                if weight.any()
+            }
+            yield Check(
                 name=result.check,
                 text=result.text,
                 share=result.share,
                 grade=GRADES[result.grade],
-                failures={
-                    name: float((w * beyond).sum() / w.sum())
-                    for name, w in weights.items()
-                    if w.sum() > 0.0
-                },
+                failures=failures,
             )
-            breached.append(check)
-    return breached
 
 
 def _later_loading(design: Design, rows: np.ndarray) -> Iterator[Check]:

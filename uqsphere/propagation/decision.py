@@ -16,9 +16,8 @@ import numpy as np
 
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation.contact_law import YieldingRows
-from uqsphere.propagation.doubts import Aim, Alternative, Curves, Doubt, doubts_of
-from uqsphere.propagation.line import Line, refined
+from uqsphere.propagation.doubts import Aim, Alternative, Curves, Doubt
+from uqsphere.propagation.line import Line, YieldingRows, refined
 from uqsphere.uq import student
 
 #: points of a replicate near the number to use, at first and at most
@@ -129,12 +128,13 @@ class Settling:
         if self.yielding is not None:
             yielding = self.yielding.along(line.few)
         curves = Curves(aim=aim, line=line, yielding=yielding)
-        return Settled(curves=curves, doubts=tuple(doubts_of(curves, self.others)))
+        return Settled(curves=curves, doubts=tuple(curves.doubts(self.others)))
 
     def accurately(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim, with rows added until the governing curve is accurate there."""
         required = self.model.study.analysis.accuracy.probability
         count = _FIRST
+        replicates = line.rows.replicates
         settled = self.once(aim, line)
         for _ in range(_PASSES):
             number = settled.use
@@ -142,12 +142,12 @@ class Settling:
             if number is None:
                 break
             distances = np.abs(line.places - line.place_of(number))
-            nearest = int(np.argmin(distances))
+            nearest = np.argmin(distances)
             there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
-            if there and line.samples[nearest].count >= count:
+            if there and line.samples[line.values[nearest]].count >= count:
                 doubt = settled.governing
                 allowed = doubt.limit.allowable
-                half = student(line.samples[0].replicates) * doubt.error[nearest]
+                half = student(replicates) * doubt.error[nearest]
                 if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
                     break
                 count *= 2
@@ -155,14 +155,13 @@ class Settling:
             wanted = line.values[max(above - 1, 0) : above + 1]
             if not there:
                 wanted = (*wanted, number)
-            if not self._affords(len(wanted) * count * line.samples[0].replicates):
+            if not self._affords(len(wanted) * count * replicates):
                 break
             try:
                 line = refined(line, self.model, dict.fromkeys(wanted, count))
             except Interrupted:
                 break
-            counts = [line.samples[line.values.index(value)].count for value in wanted]
-            count = max(count, min(counts))
+            count = max(count, min(line.samples[value].count for value in wanted))
             settled = self.once(aim, line)
         return settled
 

@@ -75,8 +75,8 @@ def with_test_forces(
     `moving` are values (R, n) of numbers in place of the sample's or the study's.
     """
     shape = sample.scores.shape[:2]
-    drawn = {name: sample.input(name) for name in sample.names}
-    values: dict[str, Array | float] = {**design.study.at_means(), **drawn, **moving}
+    varying = {name: sample.input(name) for name in sample.names} | {**moving}
+    values: dict[str, Array | float] = {**design.study.at_means(), **varying}
     for limit in limits or design.judged.limits:
         tested = limit.tested
         if tested is None or not by_force(limit):
@@ -85,7 +85,7 @@ def with_test_forces(
         keys = [key for key in LAW if key in tested.sphere]
         parts = ("sphere", "contact") if tested.sphere.get("takes") else ("contact",)
         yielding = [f"{part}.{key}" for part in parts for key in keys]
-        scattering = [name for name in yielding if name in moving or name in drawn]
+        scattering = [name for name in yielding if name in varying]
         names = [*SPHERE, "sphere.radius", *scattering]
         demand = sample.answer(limit.quantity) * _factor(limit, sample)
         finite = np.isfinite(demand)

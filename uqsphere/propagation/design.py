@@ -10,13 +10,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.models.scene import absent_quantity
-from uqsphere.propagation.evidence import judged_by_tests, refuted_text
-from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, means_fracture
+from uqsphere.propagation.failure_modes import (
+    AssumedMode,
+    failure_modes_of,
+    judged_by_tests,
+    means_fracture,
+)
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, sobol_points
@@ -52,7 +57,12 @@ class Design:
         not_judged |= {name: reason for name, reason in reasons.items() if reason}
         answered = [mode for mode in assumed if not reasons[mode.called]]
         evidence, modes = judged_by_tests(study, answered)
-        not_judged |= {entry.mode: refuted_text(entry) for entry in evidence if entry.refuted}
+        not_judged |= {
+            entry.mode: f"refuted by your {entry.tests} tests: spheres bore more than this "
+            "strength allows"
+            for entry in evidence
+            if entry.refuted
+        }
         return cls(study=study, modes=modes, not_judged=not_judged, evidence=evidence)
 
     @cached_property
@@ -120,6 +130,13 @@ class Design:
     def fracture(self) -> tuple[Limit, ...]:
         """The limits of the file that mean fracture of the sphere."""
         return tuple(limit for limit in self.limits if means_fracture(limit))
+
+    @property
+    def on_failure(self) -> Literal["bound", "drop"]:
+        """What becomes of failed rows, as the estimates take it."""
+        if self.study.analysis.policy == "bound":
+            return "bound"
+        return "drop"
 
     def subject(self, limit: Limit) -> str:
         """The name of a limit in the table of answers."""

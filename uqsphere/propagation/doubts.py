@@ -19,8 +19,7 @@ import numpy as np
 from uqsphere.arrays import Array, Values, special
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.evidence import REFUTED
-from uqsphere.propagation.failure_modes import AssumedMode, means_fracture
+from uqsphere.propagation.failure_modes import REFUTED, AssumedMode, means_fracture
 from uqsphere.propagation.line import Line, score
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
@@ -72,16 +71,16 @@ class Aim:
         return self.failure(exceeded) <= limit.target
 
     @cached_property
-    def groups(self) -> tuple[tuple[Limit, ...], ...]:
+    def groups(self) -> list[list[Limit]]:
         """Limits by the tests behind them: those on the same tests are one failure mode, carried
         over in different ways; first the one that counts as fracture.
         """
         groups: dict[object, list[Limit]] = {}
         for limit in (*self.limits, *self.untargeted):
             groups.setdefault(tests_behind(limit) or limit.name, []).append(limit)
-        for group in groups.values():
-            group.sort(key=lambda limit: limit.fracture is False)
-        return tuple(tuple(group) for group in groups.values())
+        return [
+            sorted(group, key=lambda limit: limit.fracture is False) for group in groups.values()
+        ]
 
     def same_tests(self, first: Limit, second: Limit) -> bool:
         """Whether two limits carry over the same tests."""
@@ -108,8 +107,7 @@ class Alternative:
     code: DoubtCode
     limit: Limit
     detail: str = ""
-    laws: tuple[Law, ...] = ()
-    tied: bool = True
+    laws: Sequence[Law] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,9 +147,8 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
 # --- what may be otherwise ------------------------------------------------------------------------
 
 
-def alternatives(aim: Aim) -> list[Alternative]:
+def alternatives(aim: Aim) -> Iterator[Alternative]:
     """Every strength of an aim's limits that may be otherwise, and every tie to the inputs."""
-    options: list[Alternative] = []
     for limit in aim.limits:
         law = strength_of(limit)
         if not isinstance(law, Law):
@@ -161,17 +158,14 @@ def alternatives(aim: Aim) -> list[Alternative]:
         if is_fitted(law):
             code = "tests"
             strengths = strengths_allowed(aim.design, limit)
-        options += [
-            Alternative(code=code, limit=limit, detail=name, laws=laws)
-            for name, laws in strengths.items()
-        ]
+        for name, laws in strengths.items():
+            yield Alternative(code=code, limit=limit, detail=name, laws=laws)
         tied = strength_name(limit.name)
         if any(tied in tie.of for tie in aim.design.study.dependence):
-            options.append(Alternative(code="tie", limit=limit, tied=False))
-    return options
+            yield Alternative(code="tie", limit=limit)
 
 
-def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]]:
+def strengths_allowed(design: Design, limit: Limit) -> dict[str, list[Law]]:
     """By distribution, strengths that the tests behind a limit allow: its own distribution, and the
     other usual one where the tests do not refute it.
 
@@ -182,13 +176,13 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, tuple[Law, ...]
     laws = {law.family.name: law}
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
         laws |= _other_fits(law)
-    allowed: dict[str, tuple[Law, ...]] = {}
+    allowed = {}
     tests = tests_behind(limit) or (0.0,)
     task = f"{count_tests(law)} tests from {tests[0]!r} to {tests[-1]!r}"
     for name, fitted in laws.items():
         generator = random_generator(seed=design.study.seed, task=task)
         with suppress(LawError):
-            allowed[name] = tuple(possible_laws(fitted, LAWS, generator, limit.allowable))
+            allowed[name] = [*possible_laws(fitted, LAWS, generator, limit.allowable)]
     return allowed
 
 
@@ -203,7 +197,7 @@ def _other_fits(law: Law) -> dict[str, Law]:
     return fits
 
 
-def other_distributions(law: Law) -> dict[str, tuple[Law, ...]]:
+def other_distributions(law: Law) -> dict[str, list[Law]]:
     """The other usual distribution of a strength, with the same mean and standard deviation."""
     from scipy.optimize import brentq
     from scipy.special import gammaln
@@ -216,13 +210,13 @@ def other_distributions(law: Law) -> dict[str, tuple[Law, ...]]:
         return {}
     with suppress(ValueError):  # a scatter that no law has
         if law.family.name == "weibull":
-            return {"lognormal": (make_law("lognormal", {"mean": mean, "cov": sd / mean}),)}
+            return {"lognormal": [make_law("lognormal", {"mean": mean, "cov": sd / mean})]}
         # 1 + cov² = Gamma(1 + 2/m)/Gamma(1 + 1/m)²
         excess = math.log1p((sd / mean) ** 2)
         modulus = brentq(
             lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4
         )
-        return {"weibull": (make_law("weibull", {"mean": mean, "modulus": modulus}),)}
+        return {"weibull": [make_law("weibull", {"mean": mean, "modulus": modulus})]}
     return {}
 
 
@@ -235,18 +229,16 @@ def others_survive(aim: Aim, line: Line) -> dict[str, Array]:
     """
     if not aim.survive:
         return {}
-    stands: dict[str, Array] = {}
-    leaders: dict[str, str] = {}
-    for group in (*aim.groups, *((mode.limit,) for mode in aim.modes)):
+    stands = []
+    for group in (*aim.groups, *([mode.limit] for mode in aim.modes)):
         counted = [limit for limit in group if means_fracture(limit)]
         if counted:
-            leaders |= {limit.name: counted[0].name for limit in group}
-            stands[counted[0].name] = 1.0 - line.exceedance(line.state(counted[0]), aim.word)
-    held: dict[str, Array] = {}
-    for name, leader in leaders.items():
-        others = [rows for key, rows in stands.items() if key != leader]
+            stands.append((group, 1.0 - line.exceedance(line.state(counted[0]), aim.word)))
+    held = dict[str, Array]()
+    for group, stand in stands:
+        others = [rows for _, rows in stands if rows is not stand]
         if others:
-            held[name] = np.prod(others, axis=0)
+            held |= dict.fromkeys([limit.name for limit in group], np.prod(others, axis=0))
     return held
 
 
@@ -291,13 +283,27 @@ class Curves:
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
     def margin(self, limit: Limit, curve: Array) -> float | None:
-        """Where a curve (K,) of a limit crosses its target, as `Line.crossing` has it; None at the
-        plan.
+        """The value of the free number at which a curve (K,) of a limit misses its target, seen
+        from the safe end.
+
+        None at the plan, and where the safe end itself misses it; infinite where the whole range
+        keeps it.
         """
+        from scipy.optimize import brentq
+
         if len(curve) < 2:
             return None
-        kept = self.aim.keeps(curve, limit)
-        return self.line.crossing(curve, kept, limit.allowable, keeps_below=self.aim.survive)
+        missed = np.flatnonzero(~self.aim.keeps(curve, limit))
+        if not missed.size:
+            return math.inf
+        k = missed[-1] + 1
+        if (curve[-1] >= curve[0]) == self.aim.survive:
+            k = missed[0]
+        if k in (0, len(curve)):
+            return None
+        excess = self.line.interpolated(score(curve) - score(limit.allowable))
+        low, high = self.line.places[k - 1 : k + 1]
+        return float(self.line.value_at(brentq(excess, low, high)))
 
     def by_strengths(
         self, limit: Limit, laws: Sequence[Law | float] = (), *, tied: bool = True
@@ -330,7 +336,7 @@ class Curves:
             return means[:, 0]
         ends = [
             probability_ends(row.mean(), (1.0 - row).mean(), spread(row), row.size, sample.size)
-            for row, sample in zip(means, self.line.samples, strict=True)
+            for row, sample in zip(means, self.line.samples.values(), strict=True)
         ]
         return np.array(ends)[:, int(self.aim.survive)]
 
@@ -349,11 +355,11 @@ class Curves:
         limit = alternative.limit
         laws = alternative.laws
         if len(laws) < 2:
-            rows = self.by_strengths(limit, laws, tied=alternative.tied)[:, 0]
+            rows = self.by_strengths(limit, laws, tied=alternative.code != "tie")[:, 0]
             return self._doubt(alternative, rows.mean(axis=2), rows[1])
         few = self.few.by_strengths(limit, laws)
         ends = np.quantile(few.mean(axis=3), self._unsafe, axis=1)
-        near = int(np.argmin(np.abs(score(ends[1]) - score(limit.allowable))))
+        near = np.argmin(np.abs(score(ends[1]) - score(limit.allowable)))
         law = int(np.argmin(np.abs(few[1, :, near].mean(axis=1) - ends[1, near])))
         every = self.by_strengths(limit, [laws[law]])[:, 0]
         unsafe = self._shifted(limit, few, few[:, law], every, self._unsafe)
@@ -382,7 +388,7 @@ class Curves:
 
     @property
     def _unsafe(self) -> float:
-        return ENDS[int(self.aim.survive)]
+        return ENDS[self.aim.survive]
 
     def _shifted(
         self, limit: Limit, means: Array, few: Array, every: Array, end: float
@@ -398,15 +404,15 @@ class Curves:
                 probability = line.seen(probability)
             return score(probability)
 
-        def moved(ends: Array, before: Array, after: Array) -> Array:
-            few_line = self.few.line
-            change = scores(self.line, after) - scores(few_line, before)
-            return special.ndtr(scores(few_line, ends) + change)
-
-        pooled = np.quantile(means.mean(axis=3, keepdims=True), end, axis=1)
-        curves = moved(pooled, few.mean(axis=2, keepdims=True), every.mean(axis=2, keepdims=True))
-        replicates = moved(np.quantile(means, end, axis=1), few, every)
-        return curves[:, :, 0], replicates[1]
+        # the mean of the replicates stands before them
+        means, few, every = (
+            np.concatenate([rows.mean(axis=-1, keepdims=True), rows], axis=-1)
+            for rows in (means, few, every)
+        )
+        change = scores(self.line, every) - scores(self.few.line, few)
+        ends = scores(self.few.line, np.quantile(means, end, axis=1))
+        moved = special.ndtr(ends + change)
+        return moved[:, :, 0], moved[1, :, 1:]
 
     def _doubt(
         self, alternative: Alternative, curves: Sequence[Array] | Array, rows: Array
@@ -422,12 +428,10 @@ class Curves:
             margin=self.margin(alternative.limit, curves[1]),
         )
 
-
-def doubts_of(curves: Curves, others: Sequence[Alternative]) -> list[Doubt]:
-    """Every doubt of the limits of an aim along a line."""
-    doubts: list[Doubt] = []
-    for limit in curves.aim.limits:
-        alternatives = [other for other in others if other.limit.name == limit.name]
-        doubts += [curves.computed(limit), *map(curves.otherwise, alternatives)]
-        doubts += curves.contacts_yield(limit, alternatives)
-    return doubts
+    def doubts(self, others: Sequence[Alternative]) -> Iterator[Doubt]:
+        """Every doubt of the limits of the aim."""
+        for limit in self.aim.limits:
+            alternatives = [other for other in others if other.limit.name == limit.name]
+            yield self.computed(limit)
+            yield from map(self.otherwise, alternatives)
+            yield from self.contacts_yield(limit, alternatives)

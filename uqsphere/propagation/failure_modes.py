@@ -1,6 +1,15 @@
-"""The failure modes that a study has no limit for, assessed with library strengths."""
+"""The failure modes that a study has no limit for, assessed with library strengths, and what its
+crushing tests leave of these.
+
+Each sphere of the tests stood up to its force, so that every one of its strengths is at least the
+demand at that force in the test rig, and F(demand) of a true strength lies below a uniform
+variable: the one-sided Kolmogorov-Smirnov distance has at most its usual probability.  (The product
+of the probabilities to stand would refute every true strength, because at the forces of failure it
+is a product of uniform variables.)
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,11 +17,16 @@ import numpy as np
 from uqsphere.arrays import Array, Values
 from uqsphere.materials import Material, Property, library
 from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, FailureMode, failure_place
 from uqsphere.quantities import format_value, lookup
+from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, default_target
+from uqsphere.study.values import Tested
 from uqsphere.uq import Law, make_law
 
+#: a strength, or a distribution, that makes the tests less probable than this is refuted
+REFUTED = 0.05
 #: standard deviations from the middle of the library's 95 % ranges to their ends
 _RANGE_DEVIATIONS = 1.959963984540054
 
@@ -70,8 +84,8 @@ def failure_modes_of(study: Study) -> tuple[list[AssumedMode], dict[str, str]]:
     if study.black_box or study.analysis.failure_modes == "given" or not limited:
         return [], {}
     material = library()["sphere"].get(study.materials.get("sphere", ""))
-    assumed: list[AssumedMode] = []
-    not_judged: dict[str, str] = {}
+    assumed = []
+    not_judged = {}
     for mode in FAILURE_MODES.values():
         # the fracture energies of the library are those of rock particles
         rock = material is not None and material.rock
@@ -102,9 +116,11 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
         return "the library gives no range for it"
     onset = _onset(study, material)
     if mode.place == "contact" and strength.value < onset:
-        values = (format_value(value, "p_max") for value in (strength.value, onset))
-        text = "the library's contact strength {} is below the onset of yield {} of the sphere"
-        return text.format(*values)
+        contact, usual = (format_value(value, "p_max") for value in (strength.value, onset))
+        return (
+            f"the library's contact strength {contact} is below the onset of yield {usual} of the "
+            "sphere"
+        )
     return ""
 
 
@@ -130,7 +146,7 @@ def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode
             "modulus": material.properties["weibull_modulus"].value,
             "reference_volume": entry.further["volume"],
         }
-    size = float(_size_factor(mode, entry, 2.0 * study.at_means()["sphere.radius"]))
+    size = size_factor(mode, entry, 2.0 * study.at_means()["sphere.radius"])
 
     def strength(value: float) -> Law:
         """The distribution with the mean, or median, `value`."""
@@ -161,25 +177,116 @@ def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode
     )
 
 
-def _size_factor(mode: FailureMode, entry: Property, diameter: Values) -> Array:
-    """Strength of particles of a diameter [m] over the library value: their median fracture energy
-    (Tavares and King 1998, equation 15).
+def size_factor(mode: FailureMode, entry: Property, diameter: Values) -> Values:
+    """Strength of a mode for spheres of a diameter [m] over the library value, apart from the size
+    effect in its criterion: of particles that of their median fracture energy (Tavares and King
+    1998, equation 15).
     """
     if mode.size_law != "particle":
-        return np.ones_like(diameter, dtype=float)
-    return np.asarray(1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"])
-
-
-def size_factor(mode: AssumedMode, radius: Values) -> Array:
-    """Strength of a mode for spheres of a radius [m] over the library value, apart from the size
-    effect in its criterion.
-    """
-    return _size_factor(mode.declared, mode.entry, 2.0 * np.asarray(radius))
+        return 1.0
+    return 1.0 + (entry.further["size"] / diameter) ** entry.further["exponent"]
 
 
 def scaled_strength(law: Law, factor: float) -> Law:
     """A Weibull or lognormal strength with all its values multiplied."""
+    parameters = dict(law.parameters)
     if law.family.name == "lognormal":
-        log_mean = law.parameters["log_mean"] + math.log(factor)
-        return replace(law, parameters={**law.parameters, "log_mean": log_mean})
-    return replace(law, parameters={**law.parameters, "scale": law.parameters["scale"] * factor})
+        parameters["log_mean"] += math.log(factor)
+    else:
+        parameters["scale"] *= factor
+    return replace(law, parameters=parameters)
+
+
+# --- what crushing tests say of strengths of the library ------------------------------------------
+
+
+def judged_by_tests(
+    study: Study, modes: list[AssumedMode]
+) -> tuple[list[EvidenceEntry], list[AssumedMode]]:
+    """The evidence on every assumed mode, and the modes that are left, with what is left of their
+    range.
+    """
+    series = {
+        limit.tested.forces: limit.tested
+        for limit in study.limits
+        if limit.tested is not None and limit.tested.forces
+    }
+    if not series:
+        return [], modes
+    results = []
+    modes_left = []
+    for mode in modes:
+        evidence = _evidence(study, [*series.values()], mode)
+        results.append(evidence)
+        if evidence.refuted:
+            continue
+        weak = scaled_strength(mode.weak, evidence.raised)
+        middle = max(mode.middle, weak, key=median)
+        modes_left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
+    return results, modes_left
+
+
+def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> EvidenceEntry:
+    demands = demands_in_tests(study, series, mode)
+    weak, centre, strong = standing(
+        np.array([law.cdf(demands) for law in (mode.weak, mode.middle, mode.strong)])
+    ).tolist()
+    refuted = strong < REFUTED
+    raised = 1.0
+    if weak < REFUTED and not refuted:
+        # the strong end of a range may be of another scatter than its weak end
+        (factor,) = least_factor(mode.weak, demands[None, :])
+        raised = min(factor, median(mode.strong) / median(mode.weak))
+    return EvidenceEntry(
+        mode=mode.called,
+        tests=len(demands),
+        weak=weak,
+        middle=centre,
+        strong=strong,
+        refuted=refuted,
+        raised=raised,
+    )
+
+
+def demands_in_tests(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Array:
+    """The demand (n,) of a mode in each test at its force, over its size factor for that sphere."""
+    mean = size_factor(mode.declared, mode.entry, 2.0 * study.at_means()["sphere.radius"])
+    parts = []
+    for tested in series:
+        diameters = np.array(tested.diameters)
+        forces = np.array(tested.forces)
+        demand = value_at(forces, mode.limit.demand, tested.sphere, 0.5 * diameters, tested.platens)
+        parts.append(demand / (size_factor(mode.declared, mode.entry, diameters) / mean))
+    return np.concatenate(parts)
+
+
+def standing(below: Array) -> Array:
+    """Probability (J,) of J series of tests, from F(demand at the force that was borne) (J, n).
+
+    >>> standing(np.array([[0.1, 0.3, 0.5, 0.7, 0.9], [0.9, 0.95, 0.97, 0.98, 0.99]])).round(3)
+    array([0.854, 0.   ])
+    """
+    from scipy.stats import ksone
+
+    ordered = np.sort(below, axis=1)
+    n = ordered.shape[1]
+    distance = (ordered - np.arange(n) / n).max(axis=1)
+    return np.asarray(ksone.sf(np.maximum(distance, 1e-9), n))
+
+
+def least_factor(law: Law, demands: Array) -> Array:
+    """What a strength must be multiplied by (J,) at least for J series of tests, whose spheres bore
+    demands (J, n), not to refute it.
+    """
+    from scipy.stats import ksone
+
+    n = demands.shape[1]
+    below = np.arange(n) / n + ksone.isf(REFUTED, n)
+    inside = below < 1.0
+    ordered = np.sort(demands, axis=1)[:, inside]
+    return np.asarray((ordered / law.ppf(below[inside])).max(axis=1))
+
+
+def median(law: Law) -> float:
+    """The median of a distribution."""
+    return float(law.ppf(0.5))

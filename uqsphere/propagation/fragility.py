@@ -19,7 +19,7 @@ from uqsphere.propagation.limits import failure_given_inputs, state_of
 from uqsphere.propagation.line import evaluated_at
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
-from uqsphere.results import Answers
+from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
@@ -29,12 +29,11 @@ from uqsphere.uq.estimate import REPLICATES
 METHOD = "the same points at every value"
 
 
-def fragility(design: Design, tables: Tables) -> Answers:
+def fragility(design: Design, tables: Tables) -> Rows:
     """Curves and margins of every limit and failure mode."""
-    answers = Answers()
     margins = design.study.margins
     if margins is None or (margins.limit is None and not tables.line):
-        return answers
+        return
     unit = lookup(margins.solve).unit
     runs = tables.line_runs
     planned = planned_value(design)
@@ -42,9 +41,9 @@ def fragility(design: Design, tables: Tables) -> Answers:
         subject = design.subject(limit)
         fitted = curve_of(design, tables, limit)
         for at, *ends in fitted.curve:
-            answers.row(subject, "curve", at, *ends, method=METHOD, runs=runs)
+            yield number_row(subject, "curve", at, *ends, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
-            answers.add(subject, "margin", p, estimate, unit=unit, runs=runs)
+            yield estimate_row(subject, "margin", p, estimate, unit=unit, runs=runs)
         allowed = fitted.values.get(limit.allowable)
         if allowed is None or not allowed.value or not planned or not limit.has_target:
             continue
@@ -57,8 +56,9 @@ def fragility(design: Design, tables: Tables) -> Answers:
             factors.append(factor)
         if limit.aim != "survive":
             factors[1], factors[2] = factors[2], factors[1]
-        answers.row(subject, "safety_factor", margins.solve, *factors, method=METHOD, runs=runs)
-    return answers
+        yield number_row(
+            subject, "safety_factor", margins.solve, *factors, method=METHOD, runs=runs
+        )
 
 
 def planned_value(design: Design) -> float | None:

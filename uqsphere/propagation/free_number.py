@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Values
 from uqsphere.propagation.design import number
 from uqsphere.quantities import INPUTS
 from uqsphere.study import NOTABLE, Limit, Margins, Study
 
 
-def values_at(margins: Margins, shares: Values) -> Array:
+def values_at(margins: Margins, shares: Values) -> Values:
     """The values a share of the way from the lowest to the highest: in ratios where all are
     positive, else in steps.
 
@@ -22,19 +22,17 @@ def values_at(margins: Margins, shares: Values) -> Array:
     [0.1, 1.0, 10.0]
     """
     low, high = margins.between
-    values: Array = low + (high - low) * np.asarray(shares)
     if low > 0.0:
-        values = np.clip(low * (high / low) ** np.asarray(shares), low, high)
-    return values
+        return np.clip(low * (high / low) ** shares, low, high)
+    return low + (high - low) * shares
 
 
-def shares_of(margins: Margins, values: Values) -> Array:
+def shares_of(margins: Margins, values: Values) -> Values:
     """The share of the way at which values lie."""
     low, high = margins.between
-    shares: Array = (np.asarray(values) - low) / (high - low)
     if low > 0.0:
-        shares = np.log(np.asarray(values) / low) / math.log(high / low)
-    return shares
+        return np.log(values / low) / math.log(high / low)
+    return (values - low) / (high - low)
 
 
 def grid(margins: Margins, count: int) -> list[float]:
@@ -60,7 +58,7 @@ def moved(study: Study, value: float) -> Study:
     law = study.random[path].with_mean(value)
     if path in INPUTS:
         low = INPUTS[path].lower
-        if law.lower < low and float(law.cdf(low)) > NOTABLE:
+        if law.lower < low and law.cdf(low) > NOTABLE:
             law = replace(law, lower=low)
     return replace(study, random={**study.random, path: law})
 

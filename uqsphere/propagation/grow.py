@@ -9,7 +9,7 @@ chaos is not accurate enough.  A probability too small for n is left to one sear
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,13 +20,12 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.propagation import rare
 from uqsphere.propagation.chaos import expansions
 from uqsphere.propagation.design import VALUES, Design, is_strength, normal_scores
-from uqsphere.propagation.distributions import described
 from uqsphere.propagation.fragility import margin_and_scale
 from uqsphere.propagation.free_number import grid, shares_of, values_at
-from uqsphere.propagation.indices import of_quantity
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.line import evaluated_at
 from uqsphere.propagation.progress import Progress, share_done
+from uqsphere.propagation.quantities import described, of_quantity
 from uqsphere.propagation.sampled import by_chaos_accurate
 from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
 from uqsphere.results.types import Stop
@@ -67,7 +66,8 @@ def grow(
         in_time = (end - now) * max(model.evaluations, 1) / max(now - began, 1e-9)
         return min(budget - model.evaluations - model.reused, in_time)
 
-    history: list[dict[tuple[str, str], float]] = []
+    # errors of every size by their answer, of none before the first
+    history: list[dict[tuple[str, str], float]] = [{}, {}]
     tables = None
     count = first_count(study)
     while True:
@@ -113,7 +113,7 @@ def grow(
             stopped = "cap"
         elif runs + further > budget:
             stopped = "budget"
-        elif all(_is_stuck(tables, history, error) for error in tables.inaccurate):
+        elif all(_is_stuck(tables, history[-3], error) for error in tables.inaccurate):
             stopped = "no gain"
         elif time.monotonic() + took > end:
             stopped = "time"
@@ -128,24 +128,20 @@ def grow(
             count *= 2
 
 
-def _is_stuck(
-    tables: Tables, history: Sequence[Mapping[tuple[str, str], float]], error: Accuracy
-) -> bool:
+def _is_stuck(tables: Tables, before: Mapping[tuple[str, str], float], error: Accuracy) -> bool:
     """Whether more rows would not lower the error of an answer: two doublings have left it where
-    it had been, or a search answers it.
+    it had been before, or a search answers it.
     """
     if error.answer == "failure_probability" and error.subject.partition(".")[2] in tables.rare:
         return True
-    if len(history) < 3:
-        return False
-    return error.reached > 0.95 * history[-3].get(error[:2], math.inf)
+    return error.reached > 0.95 * before.get(error[:2], math.inf)
 
 
 def first_count(study: Study) -> int:
     """Points of a replicate at first, two of one row without scatter: fewer where the budget has no
     room for more, or would leave less than half of it to the search for a small probability.
     """
-    if all(is_strength(name) for name in study.laws()):
+    if all(map(is_strength, study.laws())):
         return 2
     room = study.analysis.budget.evaluations
     count = FIRST
@@ -184,7 +180,7 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
     if before is None:
         return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))
     about = set[float]()
-    values = sorted(before.line)
+    values = [*before.line]
     for name in _inaccurate_margins(before):
         at = int(np.searchsorted(values, before.margins[name][0].value or 0.0))
         near = values[max(at - 2, 0) : at + 2]
@@ -195,8 +191,7 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
 
 def _inaccurate_margins(tables: Tables) -> list[str]:
     """The limits whose margin is less accurate than required."""
-    inaccurate = [error.subject for error in tables.inaccurate if error.answer == "margin"]
-    return [subject.partition(".")[2] for subject in inaccurate]
+    return [e.subject.partition(".")[2] for e in tables.inaccurate if e.answer == "margin"]
 
 
 def _answered(
@@ -215,10 +210,10 @@ def _answered(
     margins = dict(tables.margins)
     missed = _inaccurate_margins(tables)
     for limit in design.limits:
-        estimate, _ = margins.get(limit.name, (None, None))
-        poor = estimate is None or estimate.value is None or limit.name in missed
+        name = limit.name
+        poor = name not in margins or margins[name][0].value is None or name in missed
         if poor and tables.line:
-            margins[limit.name] = margin_and_scale(design, tables, limit)
+            margins[name] = margin_and_scale(design, tables, limit)
     tables = rare.search(design, model, replace(tables, margins=margins), rows_left)
     if not tables.stopped:
         count = sample.count // PAIRS_SHARE
@@ -254,7 +249,7 @@ def paired(
     step = max(PART // (REPLICATES * size), 1)
     for start in range(done, count, step):
         rows = pair_rows(design, min(step, count - start), start)
-        answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), tuple(names))
+        answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), names)
         check_failures(design, answers.status, answers.note)
         values = np.where(answers.good[:, None], answers.values, np.nan)
         for name, column in zip(names, values.T, strict=True):
@@ -270,15 +265,20 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     place = {"count": count, "start": start, "seed": design.study.seed}
     for replicate in range(REPLICATES):
         halves = base_points(design.blocks, task="pairs", replicate=replicate, **place)
-        physical = (design.joint_inputs.physical(normal_scores(half)) for half in halves)
+        physical = design.joint_inputs.physical(normal_scores(np.stack(halves)))
         mixed.append(design.blocks.mix(*physical))
     return np.stack(mixed)
 
 
 def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
     """The accuracy of every answer that the study has a requirement for."""
+    errors = _accuracies(design, tables)
+    return tuple(error for error in errors if math.isfinite(error.required))
+
+
+def _accuracies(design: Design, tables: Tables) -> Iterator[Accuracy]:
+    """The accuracy of every answer that has one."""
     required = design.study.analysis.accuracy
-    errors: list[Accuracy] = []
     for name in design.study.analysis.quantities:
         description = described(design, tables, name)
         scale = description.scale
@@ -286,14 +286,14 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
             continue
         least = 1e-13 * abs(description.mean.value) / scale
         half = description.mean.half_width
-        errors.append(Accuracy(name, "mean", half / scale - least, required.mean))
+        yield Accuracy(name, "mean", half / scale - least, required.mean)
         for p, estimate in description.quantiles.items():
             if estimate.value is not None:
                 error = estimate.half_width / scale - least
-                errors.append(Accuracy(name, f"quantile {p:g}", error, required.quantile))
+                yield Accuracy(name, f"quantile {p:g}", error, required.quantile)
         for label, row in of_quantity(design, tables, name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
-            errors.append(Accuracy(name, f"sobol {label}", widest, required.sobol))
+            yield Accuracy(name, f"sobol {label}", widest, required.sobol)
     for limit in design.limits:
         estimate = failure(design, tables, limit)
         subject = f"limits.{limit.name}"
@@ -303,15 +303,12 @@ def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
         if not searched and rare.is_left_to_search(design, estimate):
             continue
         error = estimate.half_width / estimate.value
-        errors.append(Accuracy(subject, "failure_probability", error, required.probability))
+        yield Accuracy(subject, "failure_probability", error, required.probability)
         room = limit.target - (estimate.high or 1.0)
         if limit.has_target and searched and room > 0.0:
             # failures that the search did not aim at must not turn the verdict
-            errors.append(
-                Accuracy(subject, "unseen_failures", count_bound(tables.sample.size), room)
-            )
+            yield Accuracy(subject, "unseen_failures", count_bound(tables.sample.size), room)
     for limit_name, (margin, width) in tables.margins.items():
         if margin.value is not None and width is not None:
             error = margin.half_width / width
-            errors.append(Accuracy(f"limits.{limit_name}", "margin", error, required.probability))
-    return tuple(error for error in errors if math.isfinite(error.required))
+            yield Accuracy(f"limits.{limit_name}", "margin", error, required.probability)

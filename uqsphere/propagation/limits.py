@@ -1,17 +1,23 @@
 """Limits and failure modes: demand against strength at the sampled points, the strength integrated
-exactly.
+exactly; and fracture by any limit of the study: how likely, by which mode first, and in what state
+of loading.
+
+The moment of fracture is read off the loading of a few hundred spheres, drawn with their strengths
+from those that break.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
+from uqsphere.models.scene import fractures_of
 from uqsphere.propagation.demands import column_of, demands_of, strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.tables import Tables
-from uqsphere.results import Answers
+from uqsphere.propagation.tables import Tables, input_rows
+from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, limit_of, strength_name
 from uqsphere.uq import (
     Estimate,
@@ -22,20 +28,31 @@ from uqsphere.uq import (
     exact,
     failure_of_aim,
     from_replicates,
+    random_generator,
     score_of,
 )
 from uqsphere.uq.estimate import count_bound
-from uqsphere.uq.limit_state import reliability_index, safety_factor, tails
+from uqsphere.uq.estimate import share as share_of
+from uqsphere.uq.limit_state import (
+    draw_breaking,
+    exceedance,
+    make_union,
+    reliability_index,
+    residual_correlation,
+    safety_factor,
+    tails,
+    union_state,
+    weighted_quantile,
+)
 
 #: points of a replicate that the drivers rest on at most, and the step of a score for derivatives
 MOST_POINTS, STEP = 2048, 1e-3
 
 
-def limits(design: Design, tables: Tables) -> Answers:
+def limits(design: Design, tables: Tables) -> Rows:
     """Fracture and failure probability, reliability index and strength over demand of every
     limit.
     """
-    answers = Answers()
     for limit in design.judged.limits:
         subject = design.subject(limit)
         runs = tables.runs
@@ -44,15 +61,14 @@ def limits(design: Design, tables: Tables) -> Answers:
             runs += tables.rare[limit.name].estimate.evaluations
         if limit.aim != "survive":
             exceeded = complement(failed)
-        answers.add(subject, "exceedance_probability", "", exceeded, runs=runs)
-        answers.add(subject, "failure_probability", "", failed, runs=runs)
+        yield estimate_row(subject, "exceedance_probability", "", exceeded, runs=runs)
+        yield estimate_row(subject, "failure_probability", "", failed, runs=runs)
         index, high, low = map(reliability_index, (failed.value, *failed.outer))
         if index is not None:
             origin = {"method": failed.method, "runs": runs}
-            answers.row(subject, "reliability_index", "", index, low, high, **origin)
+            yield number_row(subject, "reliability_index", "", index, low, high, **origin)
         ratio = safety_factor(state_of(design, limit, tables.sample))
-        answers.add(subject, "safety_factor", "strength over demand", ratio, runs=runs)
-    return answers
+        yield estimate_row(subject, "safety_factor", "strength over demand", ratio, runs=runs)
 
 
 def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
@@ -99,25 +115,19 @@ def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     return above if aim == "break" else below
 
 
-def state_of(
-    design: Design, limit: Limit, sample: Sample, strength: Law | float | None = None
-) -> LimitState:
-    """Demands of a limit at points, against its strength or another one, with the dependence
-    between the two.
-    """
-    if strength is None:
-        strength = strength_of(limit)
+def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
+    """Demands of a limit at points against its strength, with the dependence between the two."""
+    strength = strength_of(limit)
     column = column_of(limit)
-    policy = design.study.analysis.policy
     state = LimitState(
         demands=demands_of(limit, sample),
         strength=strength,
         censored=sample.late(column),
         failed=sample.lost(column),
-        on_failure="drop" if policy == "abort" else policy,
+        on_failure=design.on_failure,
     )
     name = strength_name(limit.name)
-    tied = bool(design.study.dependence) and name in design.joint.names
+    tied = design.study.dependence and name in design.joint.names
     if not tied or not isinstance(strength, Law):
         return state
     scores = design.drawn.scores(sample.scores)
@@ -127,17 +137,16 @@ def state_of(
 # --- drivers -----------------------------------------------------------------------------------
 
 
-def drivers(design: Design, tables: Tables) -> Answers:
+def drivers(design: Design, tables: Tables) -> Rows:
     """What drives the failure probability of every limit: its change per standard deviation that
     the centre of an input, or of the strength, is moved by.
 
     Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement,
     the strength being integrated.
     """
-    answers = Answers()
     names = design.drawn.names
     if not names:
-        return answers
+        return
     sample = tables.sample.head(MOST_POINTS)
     scores = design.drawn.scores(sample.scores).reshape(-1, len(names))
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
@@ -157,7 +166,7 @@ def drivers(design: Design, tables: Tables) -> Answers:
         changes = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
-                answers.add(subject, "driver", name, estimate, runs=tables.runs)
+                yield estimate_row(subject, "driver", name, estimate, runs=tables.runs)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
             score = score_of(*law.tails(state.demands))
@@ -169,8 +178,9 @@ def drivers(design: Design, tables: Tables) -> Answers:
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
-            answers.add(subject, "driver", strength_name(limit.name), change, runs=tables.runs)
-    return answers
+            yield estimate_row(
+                subject, "driver", strength_name(limit.name), change, runs=tables.runs
+            )
 
 
 def change_per_sd(
@@ -186,3 +196,84 @@ def change_per_sd(
     about = probabilities - probabilities.mean()
     rows = (about[:, :, None] * gradients + moved).mean(axis=1)
     return [from_replicates(row, "derivative of the density", probabilities.size) for row in rows.T]
+
+
+# --- fracture by any limit ------------------------------------------------------------------------
+
+#: spheres of each replicate whose loading is followed, of the first so many points
+SPECIMENS, SPHERES = 16, 512
+METHOD = "spheres that break, along their loading"
+
+
+def fracture(design: Design, tables: Tables) -> Rows:
+    """Probability of fracture by any limit, the share of each mode, and time and force at
+    fracture.
+    """
+    limits = _each_once(design.fracture)
+    if len(limits) < 2 or design.study.black_box or not design.drawn.names:
+        return
+    sample = tables.sample.head(SPHERES)
+    generator = random_generator(seed=design.study.seed, task="fracture")
+    union = make_union(
+        [state_of(design, limit, sample) for limit in limits],
+        _common_factor(design, limits),
+        generator,
+    )
+    exceeded = exceedance(union_state(union))
+    yield estimate_row("fracture", "exceedance_probability", "", exceeded, runs=tables.runs)
+    drawn = draw_breaking(union, SPECIMENS, generator)
+    if drawn is None:
+        return
+    shape = drawn.rows.shape
+    flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
+    names, rows = input_rows(design, sample, {})
+    fractures = fractures_of(
+        design.judged,
+        names,
+        rows[flat],
+        [limit.quantity for limit in limits],
+        drawn.shares.reshape(len(limits), -1).T,
+    )
+    first = fractures.first.reshape(shape)
+    for k, limit in enumerate(limits):
+        share = share_of(first == k, METHOD, weights=drawn.weights)
+        yield estimate_row("fracture", "mode_share", limit.name, share, runs=first.size)
+    for name in ("time", "force", "energy"):
+        values = getattr(fractures, name)
+        filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
+        for p in (0.05, 0.5, 0.95):
+            estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
+            yield estimate_row("fracture", f"{name}_at_fracture", p, estimate, runs=first.size)
+
+
+def _each_once(limits: Sequence[Limit]) -> list[Limit]:
+    """The limits that count as fracture, one for each strength: a sphere that must not break below
+    one speed and must above another has one strength.
+    """
+    once: list[Limit] = []
+    strengths: list[object] = []
+    for limit in limits:
+        strength = (limit.quantity, limit.strength, limit.model_factor)
+        if limit.fracture is not False and strength not in strengths:
+            once.append(limit)
+            strengths.append(strength)
+    return once
+
+
+def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
+    """Cholesky factor of the correlation that strengths have with each other, given all that is
+    drawn.
+    """
+    joint = design.joint
+    covariance = np.eye(len(limits))
+    names = [strength_name(limit.name) for limit in limits]
+    random = [k for k, name in enumerate(names) if name in joint.names]
+    if joint.correlation is None or len(random) < 2:
+        return covariance
+    at = [joint.names.index(names[k]) for k in random]
+    drawn = [joint.names.index(name) for name in design.drawn.names]
+    among = joint.correlation[np.ix_(at, at)]
+    across = joint.correlation[np.ix_(drawn, at)]
+    within = joint.correlation[np.ix_(drawn, drawn)]
+    covariance[np.ix_(random, random)] = among - across.T @ np.linalg.solve(within, across)
+    return residual_correlation(covariance)

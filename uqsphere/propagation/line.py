@@ -1,4 +1,4 @@
-"""Rows along the free number: what every doubt of a decision is asked on.
+"""Rows along the free number, by either contact law: what every doubt of a decision is asked on.
 
 The same points serve every value, so that a curve is smooth; each replicate has its own curve, and
 their spread is the error.
@@ -13,14 +13,16 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, special
+from uqsphere.arrays import Array, Values, special
+from uqsphere.errors import StudyError
 from uqsphere.models.model import Model
+from uqsphere.models.scene import evaluate_scene
 from uqsphere.propagation.design import VALUES, Design
 from uqsphere.propagation.free_number import demand_factor, grid, moved
 from uqsphere.propagation.limits import state_of
-from uqsphere.propagation.tables import Tables, evaluate, input_rows
-from uqsphere.study import Limit
-from uqsphere.uq import Law, LimitState, Sample, tails
+from uqsphere.propagation.tables import Tables, answered, evaluate, input_rows
+from uqsphere.study import Limit, load_study
+from uqsphere.uq import LimitState, Sample, tails
 
 #: points of a replicate, where every value of the free number has the same rows
 _SHARED = 1024
@@ -33,18 +35,22 @@ _FEW = 16
 class Line:
     """Rows at rising values of the free number, or at the plan alone.
 
-    values : (K,), one nan for the plan
-    samples : the rows at each value
+    samples : the rows at each of K values; at nan for the plan
     """
 
     design: Design
-    values: tuple[float, ...]
-    samples: tuple[Sample, ...]
+    samples: Mapping[float, Sample]
+
+    @cached_property
+    def values(self) -> tuple[float, ...]:
+        """The values (K,)."""
+        return tuple(self.samples)
 
     @cached_property
     def rows(self) -> Sample:
         """The rows of all values, one value after the other."""
-        return self.samples[0].join(*self.samples[1:])
+        first, *others = self.samples.values()
+        return first.join(*others)
 
     @cached_property
     def places(self) -> Array:
@@ -56,12 +62,15 @@ class Line:
     @cached_property
     def few(self) -> Line:
         """Some of the rows at each value, for doubts that take many strengths or other runs."""
-        heads = (sample.head(max(_FEW, sample.count // _FEW_SHARE)) for sample in self.samples)
-        return replace(self, samples=tuple(heads))
+        heads = {
+            value: sample.head(max(_FEW, sample.count // _FEW_SHARE))
+            for value, sample in self.samples.items()
+        }
+        return replace(self, samples=heads)
 
     @cached_property
     def _counts(self) -> list[int]:
-        return [sample.count for sample in self.samples]
+        return [sample.count for sample in self.samples.values()]
 
     @cached_property
     def _starts(self) -> list[int]:
@@ -69,7 +78,7 @@ class Line:
 
     def seen(self, probability: Array) -> Array:
         """Probabilities (..., K, R): none seen in the rows of a value stands for half a row."""
-        half = 0.5 / (np.array(self._counts)[:, None] * self.samples[0].replicates)
+        half = 0.5 / (np.array(self._counts)[:, None] * self.rows.replicates)
         probability = np.where(probability > 0.0, probability, half)
         return np.where(probability < 1.0, probability, 1.0 - half)
 
@@ -85,9 +94,9 @@ class Line:
             return np.log(value)
         return value
 
-    def state(self, limit: Limit, strength: Law | float | None = None) -> LimitState:
-        """Demands of a limit at all rows against its strength, or another one."""
-        state = state_of(self.design, limit, self.rows, strength)
+    def state(self, limit: Limit) -> LimitState:
+        """Demands of a limit at all rows against its strength."""
+        state = state_of(self.design, limit, self.rows)
         margins = self.design.study.margins
         if margins is None or margins.limit != limit.name or math.isnan(self.values[0]):
             return state
@@ -98,11 +107,11 @@ class Line:
         """Probability (R, N) of exceedance given the inputs; a row that is not known to the end
         counts for the unsafe side, and one that failed is nan, or counts so as well.
         """
-        below = tails(state)[0]
-        unsafe = float(aim == "survive")
-        if unsafe:
-            below = np.where(state.late, unsafe, below)
-        lost = unsafe if state.on_failure == "bound" else math.nan
+        unsafe = aim == "survive"
+        lost = math.nan
+        if state.on_failure == "bound":
+            lost = float(unsafe)
+        below = np.where(state.late & unsafe, 1.0, tails(state)[0])
         return np.where(state.broken, lost, below)
 
     def means(self, rows: Array) -> Array:
@@ -114,38 +123,17 @@ class Line:
             rows = np.where(lost, 0.0, rows)
         return np.asarray((np.add.reduceat(rows, self._starts, axis=1) / kept).T)
 
-    def crossing(
-        self, curve: Array, kept: Flags, allowed: float, *, keeps_below: bool
-    ) -> float | None:
-        """The value at which a curve (K,) leaves the safe side of a probability, where it is
-        `kept`, seen from the safe end.
-
-        None where the safe end itself is not safe, and an infinite value where all of the range is.
-        """
-        from scipy.optimize import brentq
-
-        missed = np.flatnonzero(~kept)
-        if not missed.size:
-            return math.inf
-        k = int(missed[-1]) + 1
-        if (curve[-1] >= curve[0]) == keeps_below:
-            k = int(missed[0])
-        if k in (0, len(curve)):
-            return None
-        excess = self._interpolated(score(curve) - score(allowed))
-        return float(self.value_at(brentq(excess, self.places[k - 1], self.places[k])))
-
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""
         if len(self.values) == 1:
             return float(curve[0])
-        return float(special.ndtr(self._interpolated(score(curve))(self.place_of(value))))
+        return float(special.ndtr(self.interpolated(score(curve))(self.place_of(value))))
 
-    def _interpolated(self, scores: Array) -> Callable[[float], float]:
+    def interpolated(self, scores: Array) -> Callable[[float], Values]:
+        """Normal scores (K,) as a function of the place."""
         from scipy.interpolate import PchipInterpolator
 
-        curve = PchipInterpolator(self.places, scores)
-        return lambda place: float(curve(place))
+        return PchipInterpolator(self.places, scores)
 
 
 def score(probability: Array | float) -> Array:
@@ -153,26 +141,26 @@ def score(probability: Array | float) -> Array:
     return special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16))
 
 
-def moving_at(design: Design, value: float) -> dict[str, Array]:
-    """The free number at a value, where it is a fixed number of the model's rows; nan is the
-    plan.
+def moving_at(design: Design, values: Values) -> dict[str, Array]:
+    """The free number at a value for all rows, or for each, where it is a fixed number of the
+    model's rows; nan is the plan.
     """
     margins = design.study.margins
-    if margins is None or margins.limit is not None or math.isnan(value):
+    if margins is None or margins.limit is not None or margins.solve in design.inputs:
         return {}
-    if margins.solve in design.inputs:
+    if np.isnan(values).any():
         return {}
-    return {margins.solve: np.array(value)}
+    return {margins.solve: np.asarray(values)}
 
 
 def inputs_at(line: Line) -> tuple[list[str], Array]:
     """Names and values (n, d) of the model's inputs in the rows of a line of one value."""
-    return input_rows(line.design, line.samples[0], moving_at(line.design, line.values[0]))
+    return input_rows(line.design, line.rows, moving_at(line.design, line.values[0]))
 
 
 def plan_of(design: Design, sample: Sample) -> Line:
     """The line that is the plan alone."""
-    return Line(design=design, values=(math.nan,), samples=(sample,))
+    return Line(design=design, samples={math.nan: sample})
 
 
 def line_of(design: Design, tables: Tables) -> Line | None:
@@ -184,48 +172,98 @@ def line_of(design: Design, tables: Tables) -> Line | None:
         samples = dict.fromkeys(grid(margins, VALUES), sample)
     if not samples:
         return None
-    values = sorted(samples)
-    return Line(design=design, values=tuple(values), samples=tuple(samples[v] for v in values))
+    return Line(design=design, samples=samples)
 
 
 def evaluated_at(
     design: Design, model: Model, before: Mapping[float, Sample], counts: Mapping[float, int]
 ) -> Mapping[float, Sample]:
-    """Rows at values of the free number, those of each value continued to its count, all in one
-    evaluation.
+    """Rows at values of the free number, at least so many of a replicate at some, those that are
+    there continued; all in one evaluation.
     """
-    margins = design.study.margins
-    if margins is None or not counts:
-        return before
-    parts = []
+    parts = {}
     for value, count in counts.items():
-        start = before[value].count if value in before else 0
-        joint = moved(design.study, value).inputs().only(design.drawn.names)
-        parts.append(design.points(count - start, start, joint=joint))
-    moving = {}
-    if margins.solve not in design.inputs:
-        moving[margins.solve] = np.repeat([*counts], [part.count for part in parts])
-    rows = evaluate(design, model, parts[0].join(*parts[1:]), moving)
+        start = 0
+        if value in before:
+            start = before[value].count
+        if start < count:
+            joint = moved(design.study, value).inputs().only(design.drawn.names)
+            parts[value] = design.points(count - start, start, joint=joint)
+    if not parts:
+        return before
+    first, *others = parts.values()
+    moving = moving_at(design, np.repeat([*parts], [part.count for part in parts.values()]))
+    rows = evaluate(design, model, first.join(*others), moving)
     samples = dict(before)
     end = 0
-    for value, part in zip(counts, parts, strict=True):
+    for value, part in parts.items():
+        added = rows.rows(end, end + part.count)
         end += part.count
-        added = rows.rows(end - part.count, end)
-        samples[value] = before[value].join(added) if value in before else added
+        if value in before:
+            added = before[value].join(added)
+        samples[value] = added
     return dict(sorted(samples.items()))
 
 
 def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
     """A line with at least so many points of a replicate at some values."""
     margins = line.design.study.margins
-    samples: Mapping[float, Sample] = dict(zip(line.values, line.samples, strict=True))
-    if margins is not None and margins.limit is not None:
-        samples = dict(sorted({**samples, **dict.fromkeys(counts, line.samples[0])}.items()))
-    else:
-        short = {
-            value: count
-            for value, count in counts.items()
-            if value not in samples or samples[value].count < count
-        }
-        samples = evaluated_at(line.design, model, samples, short)
-    return replace(line, values=tuple(samples), samples=tuple(samples.values()))
+    if margins is None or margins.limit is None:
+        return replace(line, samples=evaluated_at(line.design, model, line.samples, counts))
+    rows = next(iter(line.samples.values()))
+    samples = {**line.samples, **dict.fromkeys(counts, rows)}
+    return replace(line, samples=dict(sorted(samples.items())))
+
+
+# --- the other contact law ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class YieldingRows:
+    """Rows with contacts that yield, evaluated where they are asked for."""
+
+    design: Design
+    evaluated: dict[float, Sample]
+
+    def along(self, line: Line) -> Line | None:
+        """The rows of a line with contacts that yield; None where none of them has an answer."""
+        samples = {}
+        for value, sample in line.samples.items():
+            if value not in self.evaluated or self.evaluated[value].count < sample.count:
+                self.evaluated[value] = self._evaluated(value, sample)
+            samples[value] = self.evaluated[value].head(sample.count)
+            if samples[value].failed.all():
+                return None
+        return Line(design=self.design, samples=samples)
+
+    def _evaluated(self, value: float, sample: Sample) -> Sample:
+        design = self.design
+        moving = moving_at(design, value)
+        names, rows = input_rows(design, sample, moving)
+        answers = evaluate_scene(design.judged, names, rows, design.columns)
+        return answered(design, sample, answers, moving)
+
+
+def yielding_rows(design: Design) -> YieldingRows | None:
+    """The rows of a study read again with contacts that yield, the rig of its crushing tests
+    among them; None where the study has such contacts, where none would yield, and for a black box.
+    """
+    study = design.study
+    if study.black_box or study.options.get("contact.law", "hertz") != "hertz":
+        return None
+    pressures = [
+        f"limits.{limit.name}.strength_is=hertz"
+        for limit in study.limits
+        if limit.quantity == "p_max"
+    ]
+    for further in ([], pressures):
+        try:
+            other = load_study(
+                study.path,
+                [*study.overrides, "contact.law=plastic", *further],
+                text=study.text,
+            )
+        except StudyError:  # a pressure whose meaning has to be said, or nothing that could yield
+            continue
+        return YieldingRows(design=replace(design, study=other), evaluated={})
+    return None

@@ -7,7 +7,7 @@ Each series also cuts the library's failure modes anew, so that tests raise the 
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -17,8 +17,15 @@ from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.doubts import LAWS, others_survive, tests_behind
-from uqsphere.propagation.evidence import REFUTED, demands_in_tests, least_factor, median
-from uqsphere.propagation.failure_modes import AssumedMode, failure_modes_of, scaled_strength
+from uqsphere.propagation.failure_modes import (
+    REFUTED,
+    AssumedMode,
+    demands_in_tests,
+    failure_modes_of,
+    least_factor,
+    median,
+    scaled_strength,
+)
 from uqsphere.propagation.line import score
 from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
@@ -82,16 +89,16 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
             for promise in promises:
                 allowed += promise.places(uniforms)
             ends = np.quantile(pick.reduce(allowed), [0.1, 0.5, 0.9])
-            low, middle, high = sorted(line.value_at(float(end)) for end in ends)
+            low, middle, high = sorted(line.value_at(end) for end in ends)
             gains.append(TestsGain(tests=n, low=low, median=middle, high=high))
     return gains
 
 
 def _has_tests(limit: Limit) -> bool:
     law = strength_of(limit)
-    if not isinstance(law, Law) or law.family.name not in STRENGTHS:
+    if not isinstance(law, Law) or not is_fitted(law):
         return False
-    return is_fitted(law) and bool(law.data)
+    return law.family.name in STRENGTHS and law.data != ()
 
 
 class _Promise:
@@ -101,9 +108,9 @@ class _Promise:
         law = strength_of(limit)
         assert isinstance(law, Law)
         self.settled, self.limit, self.law = settled, limit, law
-        names = dict.fromkeys([law.family.name, *STRENGTHS])
+        names = [*STRENGTHS]
         if limit.needs_modulus:
-            names = {law.family.name: None}
+            names = [law.family.name]
         counted = [mode.called for mode in settled.aim.modes]
         library = failure_modes_of(settled.aim.design.study)[0]
         self.modes = [mode for mode in library if mode.called in counted]
@@ -113,24 +120,23 @@ class _Promise:
             self.added = _added(settled, limit, self.modes)
         self.tables = {name: _tabulated(settled, limit, name, self.allowed) for name in names}
 
-    def places(self, uniforms: Array) -> list[Array]:
+    def places(self, uniforms: Array) -> Iterator[Array]:
         """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
         settled = self.settled
         line = self.settled.line
         logs, leaving = self._series(uniforms)
         added = None
-        places = []
         if self.added is not None:
             stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
             added = partial(self.added, stronger)
             along = np.broadcast_to(line.places, (_SERIES, line.places.size))
             target = np.array([self.limit.allowable])
-            places.append(_places(settled, score(added(along)), target)[:, 0])
+            yield _places(settled, score(added(along)), target)[:, 0]
         for name, tables in self.tables.items():
             kind = STRENGTHS[name]
             location, scale = (part[:, None] for part in kind.fit(logs, leaving))
             centre, inverse = _pivots(kind, tuple(leaving.tolist()), self.limit.allowable)
-            end = ENDS[int(settled.least)]
+            end = ENDS[settled.least]
             strengths = location - scale * centre, scale * inverse
             at = np.array([np.quantile(table(*strengths), end, axis=1) for table in tables]).T
             if added is not None:  # where the limit's share and the other modes make the target
@@ -141,8 +147,7 @@ class _Promise:
             if name != self.law.family.name:
                 refuted = _refuted(kind, logs, leaving)[:, None]
                 at = np.where(refuted, line.place_of(settled.ends[1]), at)
-            places.append(at[:, 0])
-        return places
+            yield at[:, 0]
 
     def _series(self, uniforms: Array) -> tuple[Array, Array]:
         """Logarithms (J, r) of the strengths that failed, and the tests that end with each failure
@@ -181,7 +186,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     """What other failure modes add to the exceedance of a limit."""
     from scipy.interpolate import RectBivariateSpline
 
-    line = settled.curves.few.line
+    line = settled.line.few
     word = settled.aim.word
     stands = 1.0 - line.exceedance(line.state(limit), word)
     others = others_survive(replace(settled.aim, modes=()), line).get(limit.name, np.ones(1))
@@ -189,10 +194,11 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     tables = []
     for mode in modes:
         nodes = np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS)
+        state = line.state(mode.limit)
         rows = []
         for node in nodes:
-            state = line.state(mode.limit, scaled_strength(mode.middle, math.exp(node)))
-            rows.append(line.means(line.exceedance(state, word) * stands).mean(axis=1))
+            stronger = replace(state, strength=scaled_strength(mode.middle, math.exp(node)))
+            rows.append(line.means(line.exceedance(stronger, word) * stands).mean(axis=1))
         scores = score(np.array(rows))
         tables.append((RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1), nodes[-1]))
 
@@ -247,12 +253,12 @@ def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> lis
         location = location - _GAMMA * scale
         scale = scale / wider
     below = np.array([limit.allowable])
-    z = float(kind.form.quantile(below, 1.0 - below)[0])
+    (z,) = kind.form.quantile(below, 1.0 - below)
     scales = scale * np.geomspace(0.25, 4.0, _SCALES)
     steps = np.linspace(-3.0, 3.0, _QUANTILES) * max(abs(z), 1.0) * scale
     quantiles = location + z * scale + steps
     laws = [
-        make_law(name, kind.parameters(float(quantile - z * width), float(width)))
+        make_law(name, kind.parameters(quantile - z * width, width))
         for quantile, width in itertools.product(quantiles, scales)
     ]
     curves = settled.curves.by_strengths(limit, laws)[0].mean(axis=2)

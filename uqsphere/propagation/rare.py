@@ -9,7 +9,7 @@ seen serves those that are rarer, and is searched anew only where too little of 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from uqsphere.propagation.design import Design, at_normals, by_force, is_strengt
 from uqsphere.propagation.limits import failure, state_of
 from uqsphere.propagation.tables import Searched, Tables, evaluate
 from uqsphere.quantities import lookup
-from uqsphere.results import Answers
+from uqsphere.results.answers import Rows, number_row
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample
 from uqsphere.uq.forms import CERTAIN
@@ -67,10 +67,7 @@ def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[],
 
     The likelier of two limits comes first: its draws may serve the other.
     """
-
-    def answered(points: Sample) -> Sample:
-        return evaluate(design, model, points, part=True)
-
+    answered = partial(evaluate, design, model, part=True)
     required = design.study.analysis.accuracy
     by_name = "probability" in required.model_fields_set or bool(tables.stopped)
     answers = dict(tables.rare)
@@ -83,7 +80,7 @@ def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[],
         if allowed < LEAST:
             break
         problem = _problem(design, limit, answered, min(allowed, MOST))
-        draws: list[Draws] = []
+        draws = list[Draws]()
         if problem.limit is not None:
             draws = shared.setdefault((limit.quantity, limit.aim), [])
         try:
@@ -132,15 +129,16 @@ def _sign(limit: Limit) -> float:
     return -1.0 if limit.aim == "break" else 1.0
 
 
-def design_points(design: Design, tables: Tables) -> Answers:
+def design_points(design: Design, tables: Tables) -> Rows:
     """The design point of every limit of the study."""
-    answers = Answers()
     for limit in design.limits:
         for name, value in _design_point(design, tables, limit).items():
             unit = lookup(limit.quantity if is_strength(name) else name).unit
-            origin: dict[str, Any] = {"unit": unit, "method": "FORM", "runs": tables.runs}
-            answers.row(design.subject(limit), "design_point", name, value, **origin)
-    return answers
+            subject = design.subject(limit)
+            method, runs = "FORM", tables.runs
+            yield number_row(
+                subject, "design_point", name, value, unit=unit, method=method, runs=runs
+            )
 
 
 def _design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
@@ -178,7 +176,8 @@ def _problem(
             margin = -sign * np.clip(score_of(*tails(state)), -CERTAIN, CERTAIN)
         else:
             margin = sign * (state.strength - state.demands) / abs(state.strength or 1.0)
-        return np.asarray(np.where(state.broken, np.nan, margin)[0])
+        rows: Array = np.where(state.broken, np.nan, margin)[0]
+        return rows
 
     def sample(normals: Array) -> Sample:
         return answered(at_normals(design.drawn, normals[None]))

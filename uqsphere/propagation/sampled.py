@@ -6,21 +6,20 @@ ask `source_of` for the one that a run has.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.propagation import chaos
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.slow import Slow
+from uqsphere.propagation.slow import Slow, described_rows
 from uqsphere.propagation.tables import Indices, Tables
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
-from uqsphere.uq.describe import Description, describe, describe_controlled, heavy_tail
+from uqsphere.uq.describe import Description, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, count_bound, ratio_of_means
 from uqsphere.uq.indices import sampled_indices
 
@@ -53,14 +52,14 @@ class Sampled:
 
     def describe(self, name: str) -> Description:
         """The description of a quantity; an accurate expansion is its control variate."""
-        sample = self.tables.sample
-        analysis = self.design.study.analysis
-        if not self.design.drawn.names and not sample.late(name).any() and not sample.failed.any():
-            value = exact(float(sample.answer(name)[0, 0]))
+        sample = self.rows
+        quantiles = self.design.study.analysis.quantiles
+        if not self.design.drawn.names and sample.knows(name):
+            value = exact(sample.answer(name)[0, 0])
             return Description(
                 mean=value,
                 sd=exact(0.0),
-                quantiles=dict.fromkeys(analysis.quantiles, value),
+                quantiles=dict.fromkeys(quantiles, value),
                 censored_share=exact(0.0),
                 scale=0.0,
             )
@@ -70,24 +69,17 @@ class Sampled:
                 sample.answer(name)[1:],
                 expansion.values,
                 self.values(name)[1:],
-                quantiles=analysis.quantiles,
+                quantiles=quantiles,
                 method=CONTROLLED,
             )
-        return describe(
-            sample.answer(name),
-            censored=sample.late(name),
-            failed=sample.lost(name),
-            on_failure="drop" if analysis.policy == "abort" else analysis.policy,
-            quantiles=analysis.quantiles,
-            method=SAMPLED,
-        )
+        return described_rows(self.design, sample, name, SAMPLED)
 
     def _control(self, name: str) -> chaos.Expansion | None:
         """The expansion of a quantity that is accurate enough to be its control variate."""
         expansion = self.tables.expansions.get(name)
-        if expansion is None or expansion.left + expansion.beyond >= chaos.CONTROL:
+        if expansion is None or self.rows.count >= MOST_MANY:
             return None
-        return expansion if self.tables.sample.count < MOST_MANY else None
+        return expansion if expansion.left + expansion.beyond < chaos.CONTROL else None
 
     def values(self, name: str) -> Array:
         """Values (R, n) that stand for the distribution of a quantity: of its control variate at
@@ -95,20 +87,18 @@ class Sampled:
         """
         expansion = self._control(name)
         if expansion is None:
-            return self.tables.sample.answer(name)
-        count = min(MANY * self.tables.sample.count, MOST_MANY)
+            return self.rows.answer(name)
+        count = min(MANY * self.rows.count, MOST_MANY)
         return chaos.values_at(self.design, expansion)(self.design.many_normals(count))
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
     ) -> Estimate:
         """The failure probability of the sample; only a bound where too few rows carry it."""
-        sample = self.tables.sample
-        if sampled.value is None or not 0.0 < sampled.value < 1e-3:
+        small = sampled.value is not None and 0.0 < sampled.value < 1e-3
+        if not small or carriers(chance(self.rows)) >= 20.0:
             return sampled
-        if carriers(chance(sample)) >= 20.0:
-            return sampled
-        bound = max(sampled.high or 0.0, count_bound(sample.size))
+        bound = max(sampled.high or 0.0, count_bound(self.rows.size))
         reason = "fewer than 20 effective samples contribute to it; only a bound is given"
         return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
 
@@ -122,13 +112,13 @@ class Sampled:
 
     def indices(self, name: str) -> Indices:
         """First and total indices of a quantity for independent inputs, and second ones."""
-        reason = heavy_tail(self.tables.sample.outputs(name), certain=True)
+        reason = heavy_tail(self.rows.outputs(name), certain=True)
         if not reason and name in self.tables.pairs:
             return _by_pairs(self.design, self.tables.pairs[name])
         if not reason and name in self.tables.expansions:
             return by_chaos(self.design, self.tables.expansions[name])
         reason = reason or "the quantity does not vary, or has no plain value at every point"
-        nothing = absent(reason, METHOD, self.tables.sample.size)
+        nothing = absent(reason, METHOD, self.rows.size)
         return dict.fromkeys(self.design.inputs, (nothing, nothing))
 
 
@@ -139,12 +129,12 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     active = form.multi_indices > 0
     many = active.sum(axis=1)
     everything = (expansion.residuals**2).mean(axis=1)
-    indices: dict[str, tuple[Estimate, ...]] = {}
+    indices = dict[str, tuple[Estimate, ...]]()
     for k, name in enumerate(design.inputs):
         least, most = expansion.explained[:, :, k]
-        part = expansion.projection(active[:, k] & (many == 1), float(integrals.first[k]))
+        part = expansion.projection(active[:, k] & (many == 1), integrals.first[k])
         first = _index(expansion, part, least, most)
-        part = expansion.projection(active[:, k], float(integrals.total[k]))
+        part = expansion.projection(active[:, k], integrals.total[k])
         total = _index(expansion, part, np.clip(least, 0.0, everything), everything)
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
@@ -156,7 +146,7 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
         which = active[:, i] & active[:, j] & (many == 2)
         share = 0.0
         if integrals.sd > 0.0:
-            share = float((form.coefficients[which] ** 2).sum()) / integrals.sd**2
+            share = (form.coefficients[which] ** 2).sum() / integrals.sd**2
         part = expansion.projection(which, share)
         index = _index(expansion, part, np.zeros_like(everything), everything)
         indices[f"{one},{other}"] = (index,)
@@ -177,10 +167,11 @@ def _index(
         if end.value is None or end.low is None or end.high is None:
             return end
         ends.append((end.value, end.low, end.high))
+    values, lows, highs = np.transpose(ends)
     error = expansion.integrals.error + expansion.beyond
-    low = min(max(min(ends[0][1], ends[1][1]) - error, 0.0), 1.0)
-    high = min(max(max(ends[0][2], ends[1][2]) + error, low), 1.0)
-    value = min(max(0.5 * (ends[0][0] + ends[1][0]), low), high)
+    low = np.clip(lows.min() - error, 0.0, 1.0)
+    high = np.clip(highs.max() + error, low, 1.0)
+    value = np.clip(values.mean(), low, high)
     return replace(end, value=value).spanning(low, high)
 
 
@@ -190,7 +181,7 @@ def by_chaos_accurate(design: Design, tables: Tables, name: str) -> bool:
     if expansion is None:
         # where nothing varies there is nothing to sample
         return tables.sample.knows(name) and not chaos.varies(tables.sample.answer(name))
-    estimates = itertools.chain(*by_chaos(design, expansion).values())
+    estimates = chain(*by_chaos(design, expansion).values())
     widest = max(estimate.half_width for estimate in estimates)
     return widest <= design.study.analysis.accuracy.sobol
 
@@ -199,7 +190,7 @@ def _by_pairs(design: Design, values: Array) -> dict[str, tuple[Estimate, ...]]:
     """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
     whole = np.asarray(np.isfinite(values).all(axis=2))
     names = design.inputs
-    least = int(whole.sum(axis=1).min())
+    least = whole.sum(axis=1).min()
     if least < 2:
         nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
         return dict.fromkeys(names, (nothing, nothing))
@@ -213,6 +204,7 @@ def _by_pairs(design: Design, values: Array) -> dict[str, tuple[Estimate, ...]]:
             [replace(index, method=index.method + text) for index in order]
             for order in (first, total)
         )
-    indices: dict[str, tuple[Estimate, ...]] = {}
-    indices |= zip(names, zip(first, total, strict=True), strict=True)
+    indices = dict[str, tuple[Estimate, ...]](
+        zip(names, zip(first, total, strict=True), strict=True)
+    )
     return indices | {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}

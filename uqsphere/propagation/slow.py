@@ -15,6 +15,18 @@ from uqsphere.uq.response import Response, unseen
 ROUGH = "runs of the model"
 
 
+def described_rows(design: Design, sample: Sample, name: str, method: str) -> Description:
+    """The description of a quantity by the rows of a sample alone."""
+    return describe(
+        sample.answer(name),
+        censored=sample.late(name),
+        failed=sample.lost(name),
+        on_failure=design.on_failure,
+        quantiles=design.study.analysis.quantiles,
+        method=method,
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slow:
     """What answers the questions that `uqsphere.propagation.sampled.Sampled` answers of a cheap
@@ -52,18 +64,11 @@ class Slow:
 
     def describe(self, name: str) -> Description:
         """Mean, standard deviation and quantiles of a quantity."""
-        analysis = self.design.study.analysis
         corrected = self.corrected(name)
         if corrected is not None:
-            return corrected.describe(analysis.quantiles)
-        return describe(
-            self.sample.answer(name),
-            censored=self.sample.late(name),
-            failed=self.sample.lost(name),
-            on_failure="bound" if analysis.policy == "bound" else "drop",
-            quantiles=analysis.quantiles,
-            method=f"{self.rows.size} {ROUGH}{self._kept}; {unseen(self.rows.size)}",
-        )
+            return corrected.describe(self.design.study.analysis.quantiles)
+        method = f"{self.rows.size} {ROUGH}{self._kept}; {unseen(self.rows.size)}"
+        return described_rows(self.design, self.sample, name, method)
 
     @property
     def _kept(self) -> str:

@@ -157,7 +157,7 @@ def evaluate(
     names, rows = input_rows(design, points, moving)
     if not names:
         rows = rows[:1]  # all are the same
-    answers = model.evaluate(tuple(names), rows, design.columns)
+    answers = model.evaluate(names, rows, design.columns)
     if not part:
         check_sizes(design, answers.values)
     if not part or design.study.analysis.policy == "abort":
@@ -189,7 +189,7 @@ def check_failures(design: Design, status: Places, note: str) -> None:
             f"an evaluation failed: {note or f'status {status[~good][0]}'}; "
             'analysis.on_failure = "bound" or "drop" goes on without such rows'
         )
-    share = 1.0 - float(good.mean())
+    share = 1.0 - good.mean()
     most = 0.01
     if not isinstance(analysis.on_failure, str):
         most = analysis.on_failure

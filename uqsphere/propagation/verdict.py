@@ -14,7 +14,6 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.caveats import caveats_of
 from uqsphere.propagation.checks import Check
-from uqsphere.propagation.contact_law import yielding_rows
 from uqsphere.propagation.decision import Settled, Settling
 from uqsphere.propagation.demands import number_of_tests, strength_of
 from uqsphere.propagation.design import Design
@@ -22,11 +21,12 @@ from uqsphere.propagation.doubts import Aim, Curves, Doubt, alternatives
 from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import failure
-from uqsphere.propagation.line import line_of, plan_of, refined
+from uqsphere.propagation.line import line_of, plan_of, refined, yielding_rows
 from uqsphere.propagation.promise import gains_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
-from uqsphere.results import Answers, types
+from uqsphere.results import types
+from uqsphere.results.answers import Rows, number_row
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
@@ -94,7 +94,7 @@ def judge(
     planned = planned_value(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word)
-        settling = Settling(model=model, others=alternatives(aim), yielding=yielding, end=end)
+        settling = Settling(model=model, others=[*alternatives(aim)], yielding=yielding, end=end)
         plan = settling.once(aim, plan_of(design, tables.sample.head(_AT_PLAN)))
         line = line_of(design, tables)
         settled = None
@@ -106,8 +106,7 @@ def judge(
                     line = refined(settled.line, model, {planned: plan.line.rows.count})
                     settled = settling.accurately(aim, line)
             if tables.line:
-                pairs = zip(settled.line.values, settled.line.samples, strict=True)
-                tables = replace(tables, line=dict(pairs))
+                tables = replace(tables, line=settled.line.samples)
         by_study = Curves(aim=replace(aim, modes=()), line=plan.line)
         probability = _at_plan(tables, by_study)
         if aim.survive:
@@ -136,7 +135,7 @@ def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
     if math.isfinite(number) and (planned < number) == settled.least:
         return False
     for limit in settled.aim.limits:
-        p = float(plan.curves.middle(limit)[0])
+        (p,) = plan.curves.middle(limit)
         away = abs(p - line.at(settled.curves.middle(limit), planned))
         error = spread(plan.curves.base(limit)[1][0])
         if not settled.aim.keeps(p, limit) and away > SURE * error:
@@ -177,15 +176,11 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
         return estimate
     if estimate.value is None:
         return added
-    value = float(np.clip(estimate.value + added.value, 0.0, 1.0))
+    value = np.clip(estimate.value + added.value, 0.0, 1.0)
     low = (estimate.low or 0.0) + (added.low or 0.0)
     high = (1.0 if estimate.high is None else estimate.high) + (added.high or 0.0)
-    return replace(
-        estimate,
-        value=value,
-        low=float(np.clip(low, 0.0, value)),
-        high=float(np.clip(high, value, 1.0)),
-    )
+    low, high = np.clip(low, 0.0, value), np.clip(high, value, 1.0)
+    return replace(estimate, value=value, low=low, high=high)
 
 
 # --- the decision ---------------------------------------------------------------------------------
@@ -198,7 +193,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     governing = settled.governing
     subject = aim.design.subject(governing.limit)
     lead = judged.lead
-    caveats = caveats_of(settled, judged.settling.yielding, checks)
+    caveats = [*caveats_of(settled, judged.settling.yielding, checks)]
     verdict = _verdict(judged, caveats)
     alone = settled
     if judged.line is not None and aim.modes:
@@ -318,7 +313,7 @@ def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
 
 def _certificate(judged: Judged) -> list[types.Doubt]:
     """What the number rests on: a row for each limit and doubt."""
-    at_plan = {doubt.key: float(doubt.curve[0]) for doubt in judged.plan.doubts}
+    at_plan = {doubt.key: doubt.curve[0] for doubt in judged.plan.doubts}
     rows = [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in judged.settled.doubts]
     if judged.aim.survive:
         for mode in judged.aim.design.modes:
@@ -340,9 +335,9 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
         note = "everywhere"
     at_number = at_plan = None
     if settled.use is not None:
-        at_number = float(aim.failure(settled.line.at(doubt.curve, settled.use)))
+        at_number = aim.failure(settled.line.at(doubt.curve, settled.use))
     if exceeded is not None:
-        at_plan = float(aim.failure(exceeded))
+        at_plan = aim.failure(exceeded)
     code = doubt.code
     option = doubt.detail
     if code == "computation":
@@ -468,19 +463,17 @@ _TEXTS = {
 }
 
 
-def assumed_answers(judged: Sequence[Judged]) -> Answers:
+def assumed_answers(judged: Sequence[Judged]) -> Rows:
     """Failure probabilities at the plan, and margins, with something taken otherwise, each limit by
     itself.
     """
-    answers = Answers()
     for aim in judged:
         for doubt in aim.plan.doubts:
             if doubt.code in _TEXTS or doubt.opposite is not None:
-                _doubt_answers(answers, aim, doubt)
-    return answers
+                yield from _doubt_answers(aim, doubt)
 
 
-def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
+def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
     aim = judged.aim
     limit = doubt.limit
     law = strength_of(doubt.limit)
@@ -493,17 +486,17 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         at = "assumed: " + _TEXTS[doubt.code].format(name)
         if doubt.code == "contact law" and name:
             at += f", {name} strength"
-        value = float(aim.failure(doubt.single)[0])
+        value = aim.failure(doubt.single)[0]
     else:
         at = f"tests: {doubt.detail}"
         if isinstance(law, Law) and law.family.name == doubt.detail:
             at = "tests"
-        low, high = sorted(float(aim.failure(end)[0]) for end in (doubt.curve, doubt.opposite))
-        value = float(np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high))
+        low, high = sorted(aim.failure(end)[0] for end in (doubt.curve, doubt.opposite))
+        value = np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high)
         note = "95 % range over the strengths that the tests allow, with the other failure modes"
     method = "epistemic"
     runs = judged.plan.line.rows.size
-    answers.row(
+    yield number_row(
         subject,
         "failure_probability",
         at,
@@ -519,4 +512,6 @@ def _doubt_answers(answers: Answers, judged: Judged, doubt: Doubt) -> None:
         unit = lookup(margins.solve).unit
         runs = judged.settled.line.rows.size
         note = "conservative end, with the other failure modes"
-        answers.row(subject, "margin", at, margin, unit=unit, runs=runs, method=method, note=note)
+        yield number_row(
+            subject, "margin", at, margin, unit=unit, runs=runs, method=method, note=note
+        )

@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import math
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,18 +19,20 @@ from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.propagation.checks import Check
 from uqsphere.propagation.demands import demands_of, number_of_tests, strength_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.distributions import density, described
 from uqsphere.propagation.failure_modes import breaks_by, means_fracture
 from uqsphere.propagation.fragility import planned_value
 from uqsphere.propagation.limits import state_of
+from uqsphere.propagation.quantities import density, described
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
-from uqsphere.results import Answers, Run
+from uqsphere.results import Run
 from uqsphere.results.answers import answers_csv, csv_text
 from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
     AccuracyEntry,
+    Answer,
+    CheckEntry,
     CorrelationEntry,
     Decision,
     DependenceEntry,
@@ -77,7 +79,7 @@ class Cost(NamedTuple):
 def results_of(
     design: Design,
     tables: Tables,
-    answers: Answers,
+    answers: list[Answer],
     decisions: list[Decision],
     checks: Sequence[Check],
     cost: Cost,
@@ -118,10 +120,10 @@ def results_of(
             correlations=_correlations(design, tables),
         ),
         inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
-        answers=answers.rows,
+        answers=answers,
         decisions=decisions,
         evidence=design.evidence,
-        checks=[check.entry() for check in checks],
+        checks=[CheckEntry(**check.model_dump(exclude={"failures"})) for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
             required=study.analysis.accuracy.model_dump(),
@@ -227,7 +229,7 @@ def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
         columns = np.stack([tables.sample.answer(name).ravel() for name in (first, second)])
         columns = columns[:, np.isfinite(columns).all(axis=0)]
         if columns.shape[1] > 1 and (np.ptp(columns, axis=1) > 0.0).all():
-            value = float(np.corrcoef(columns)[0, 1])
+            value = np.corrcoef(columns)[0, 1]
             entries.append(CorrelationEntry(of=[first, second], value=value))
     return entries
 
@@ -311,7 +313,7 @@ def _strength(limit: Limit) -> Strength:
             places = np.linspace(low, high, 160)
             density = [places.tolist(), law.pdf(places).tolist()]
     else:
-        p05 = median = p95 = float(law)
+        p05 = median = p95 = law
     text = _strength_text(limit)
     unit = display_unit(limit.quantity)[0]
     return Strength(text=text, unit=unit, median=median, p05=p05, p95=p95, density=density)
@@ -320,7 +322,7 @@ def _strength(limit: Limit) -> Strength:
 def _strength_text(limit: Limit) -> str:
     law = limit.strength
     if not isinstance(law, Law):
-        return format_value(float(law), limit.quantity)
+        return format_value(law, limit.quantity)
     mean = law.mean()
     text = law.family.name.replace("_", " ").capitalize()
     text += f", mean {format_value(mean, limit.quantity)}"
@@ -422,7 +424,7 @@ def written(
     folder: Path | None,
     study: Study,
     results: Results,
-    samples: Mapping[str, Array | Flags],
+    samples: dict[str, Array | Flags],
     pairs_of: Callable[[str], Any],
 ) -> Run:
     """The run, kept in its folder with its page where it has one."""

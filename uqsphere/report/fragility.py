@@ -89,7 +89,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     """
     answers = table_of(results)
     points = dict[str, list[tuple[Any, ...]]]()
-    for row in answers:
+    for row in answers.rows:
         if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
             points.setdefault(row.subject, []).append((row.at, row.value))
 

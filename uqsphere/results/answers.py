@@ -7,7 +7,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from uqsphere.quantities import lookup
 from uqsphere.results.types import OF_QUANTITY, Answer, Kind
@@ -16,6 +16,8 @@ from uqsphere.uq import Estimate
 if TYPE_CHECKING:
     import pandas as pd
 
+#: rows as an analysis makes them
+Rows: TypeAlias = Iterator[Answer]
 #: columns of answers.csv and of `Run.answers`
 COLUMNS = tuple(Answer.model_fields)
 
@@ -23,51 +25,8 @@ COLUMNS = tuple(Answer.model_fields)
 class Answers:
     """Rows of answers, looked up by subject, answer and place."""
 
-    def __init__(self, rows: Iterable[Answer] = ()) -> None:
+    def __init__(self, rows: Iterable[Answer]) -> None:
         self.rows = list(rows)
-
-    def __iadd__(self, other: Answers) -> Answers:
-        self.rows += other.rows
-        return self
-
-    def __iter__(self) -> Iterator[Answer]:
-        return iter(self.rows)
-
-    def add(
-        self,
-        subject: str,
-        answer: str,
-        at: float | str,
-        estimate: Estimate,
-        **origin: Any,
-    ) -> None:
-        """An estimate, with its runs; one without a value leaves its reason as the note."""
-        ends = estimate.low, estimate.high
-        low, high = estimate.outer
-        origin |= {"method": estimate.method, "note": estimate.reason or ""}
-        origin |= {"low_unseen": low, "high_unseen": high, "std_error": estimate.std_error}
-        self.row(subject, answer, at, estimate.value, *ends, **origin)
-
-    def row(
-        self,
-        subject: str,
-        answer: str,
-        at: float | str,
-        value: float | None,
-        low: float | None = None,
-        high: float | None = None,
-        **origin: Any,
-    ) -> None:
-        """A row of plain numbers, with further columns; what is not finite is left empty.
-
-        The unit is that of the kind of answer, or of the quantity; others are given.
-        """
-        unit = Kind(answer).unit
-        if unit == OF_QUANTITY:
-            unit = lookup(subject).unit
-        cells = {"unit": unit, "low_unseen": low, "high_unseen": high, **origin}
-        cells |= {"subject": subject, "answer": answer, "at": at}
-        self.rows.append(Answer(value=value, low=low, high=high, **cells))
 
     def get(self, subject: str, answer: str, at: float | str = "") -> Answer | None:
         """The row of an answer, None where there is none."""
@@ -76,6 +35,38 @@ class Answers:
     def where(self, subject: str, answer: str) -> list[Answer]:
         """All rows of an answer, in the order of their places."""
         return [row for row in self.rows if row.subject == subject and row.answer == answer]
+
+
+def estimate_row(
+    subject: str, answer: str, at: float | str, estimate: Estimate, **origin: Any
+) -> Answer:
+    """A row of an estimate, with its runs; one without a value leaves its reason as the note."""
+    ends = estimate.low, estimate.high
+    low, high = estimate.outer
+    origin |= {"method": estimate.method, "note": estimate.reason or ""}
+    origin |= {"low_unseen": low, "high_unseen": high, "std_error": estimate.std_error}
+    return number_row(subject, answer, at, estimate.value, *ends, **origin)
+
+
+def number_row(
+    subject: str,
+    answer: str,
+    at: float | str,
+    value: float | None,
+    low: float | None = None,
+    high: float | None = None,
+    **origin: Any,
+) -> Answer:
+    """A row of plain numbers, with further columns; what is not finite is left empty.
+
+    The unit is that of the kind of answer, or of the quantity; others are given.
+    """
+    unit = Kind(answer).unit
+    if unit == OF_QUANTITY:
+        unit = lookup(subject).unit
+    cells = {"unit": unit, "low_unseen": low, "high_unseen": high, **origin}
+    cells |= {"subject": subject, "answer": answer, "at": at}
+    return Answer(value=value, low=low, high=high, **cells)
 
 
 def frame_of(rows: Iterable[Answer]) -> pd.DataFrame:

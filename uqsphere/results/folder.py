@@ -39,6 +39,15 @@ LARGEST = 64 << 20
 
 
 @contextlib.contextmanager
+def _granted(path: Path) -> Iterator[None]:
+    """Raise AccessError where the system refuses what is done with a path."""
+    try:
+        yield
+    except OSError as error:
+        raise AccessError(f"{as_text(path)}: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """The folder, made if it is new and locked against another run.
 
@@ -80,7 +89,6 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     then unchanged.
     """
     before = _sums(folder)
-    part = None
     kept = HISTORY if RESULTS in files else before.keys()
     sums = {name: digest for name, digest in before.items() if name in kept}
     contents = {
@@ -90,9 +98,10 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     contents[SUMS] = "".join(
         f"{digest}  {name}\n" for name, digest in sorted(sums.items())
     ).encode()
-    try:
+    with _granted(folder), contextlib.ExitStack() as stack:
         folder.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=folder, prefix=PART))
+        waiting = tempfile.TemporaryDirectory(dir=folder, prefix=PART, ignore_cleanup_errors=True)
+        part = Path(stack.enter_context(waiting))
         for number, (name, content) in enumerate(contents.items()):
             parents = (folder / name).parents
             link = next((path for path in parents if path != folder and path.is_symlink()), None)
@@ -105,11 +114,6 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
         for name in before.keys() - sums.keys():
             if _is_inside(folder, name):
                 (folder / name).unlink()
-    except OSError as error:
-        raise AccessError(f"{as_text(folder)}: {error.strerror or error}") from error
-    finally:
-        if part is not None:
-            shutil.rmtree(part, ignore_errors=True)
 
 
 def _is_inside(folder: Path, name: str) -> bool:
@@ -126,12 +130,10 @@ def read_checked(folder: Path, name: str) -> bytes:
     read.
     """
     path = folder / name
-    try:
+    with _granted(path):
         if path.is_symlink() or not path.is_file():
             raise FolderError(f"{as_text(folder)} does not contain {name}")
         content = path.read_bytes()
-    except OSError as error:
-        raise AccessError(f"{as_text(path)}: {error.strerror or error}") from error
     if hashlib.sha256(content).hexdigest() != _sums(folder).get(name):
         raise FolderError(f"{as_text(path)} is not as it was written. {_AGAIN}")
     return content
@@ -139,7 +141,7 @@ def read_checked(folder: Path, name: str) -> bytes:
 
 def _sums(folder: Path) -> dict[str, str]:
     """Checksums by file; none where there is no such list."""
-    sums: dict[str, str] = {}
+    sums = {}
     with contextlib.suppress(OSError, ValueError):
         for line in (folder / SUMS).read_text(encoding="utf-8").splitlines():
             digest, _, name = line.partition("  ")
@@ -185,13 +187,12 @@ def damaged_files(folder: Path) -> list[str]:
             f"{as_text(folder)} does not contain {SUMS}: it is not a results directory, or an "
             "unfinished one"
         )
-    wrong = []
-    for name, digest in sums.items():
-        if (
-            not _is_inside(folder, name)
-            or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest
-        ):
-            wrong.append(name)
+    wrong = [
+        name
+        for name, digest in sums.items()
+        if not _is_inside(folder, name)
+        or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest
+    ]
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if not path.is_dir() and name not in sums and name not in UNLISTED:

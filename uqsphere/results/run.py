@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -41,7 +41,7 @@ class Run:
 
     results: Results
     folder: Path | None = None
-    columns: Mapping[str, Array | Flags] | None = None
+    columns: dict[str, Array | Flags] | None = None
     study: Study | None = None
     pairs_of: Callable[[str], Any] | None = None
 
@@ -74,7 +74,7 @@ class Run:
         import pandas as pd
 
         if self.columns is not None:
-            return pd.DataFrame(dict(self.columns))
+            return pd.DataFrame(self.columns)
         assert self.folder is not None
         return pd.read_csv(io.BytesIO(read_checked(self.folder, "samples.csv")))
 
@@ -123,7 +123,7 @@ class Run:
         """The free number at which a limit is exceeded with a probability: value, low, high,
         method, note.
         """
-        return self._one(limit, "margin", float(probability))
+        return self._one(limit, "margin", probability)
 
     def expansion(self, quantity: str) -> Expansion:
         """The polynomial chaos of a quantity: `predict(rows)` with intervals, `to_frame()`
