@@ -166,14 +166,15 @@ def run(
             answers.append(number_row("run", "error", runs, error, method=method))
         checked = [*checks(design, tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
-        took = time.monotonic() - started
-        runs = evaluator.evaluations + evaluator.reused
-        reused = evaluator.reused
-        cost = Cost(runs=runs, reused=reused, seconds=took)
+        cost = Cost(
+            runs=evaluator.evaluations + evaluator.reused,
+            reused=evaluator.reused,
+            seconds=time.monotonic() - started,
+        )
         results = results_of(design, tables, answers, decisions, checked, cost)
-        log.write(f"ended: {tables.stopped} after {took:.1f} s")
-        pairs = partial(_pairs, design, tables)
-        return written(out, study, results, samples_of(design, tables), pairs)
+        log.write(f"ended: {tables.stopped} after {cost.seconds:.1f} s")
+        pairs_of = partial(_pairs, design, tables)
+        return written(out, study, results, samples_of(design, tables), pairs_of)
 
 
 def _pairs(design: Design, tables: Tables, quantity: str) -> Any:

@@ -44,8 +44,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
         yield Check(name="model", text=note, share=1.0, grade="warning", effect=unknown)
     sample = tables.sample
     if not design.study.black_box:
-        each = max(ROWS // sample.replicates, 1)
-        plan = plan_of(design, sample.head(each))
+        plan = plan_of(design, sample.head(max(ROWS // sample.replicates, 1)))
         for check in _breaches(plan, design.limits):
             worst = max(check.failures.values(), default=0.0)
             effect = ""
@@ -116,17 +115,16 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
         if result.check in yields:
             beyond = result.grades >= 2
         if result.grade:
-            failures = {
-                name: np.average(beyond, weights=weight)
-                for name, weight in weights.items()
-                if weight.any()
-            }
             yield Check(
                 name=result.check,
                 text=result.text,
                 share=result.share,
                 grade=GRADES[result.grade],
-                failures=failures,
+                failures={
+                    name: np.average(beyond, weights=weight)
+                    for name, weight in weights.items()
+                    if weight.any()
+                },
             )
 
 

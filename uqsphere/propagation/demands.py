@@ -86,26 +86,25 @@ def with_test_forces(
         parts = ("sphere", "contact") if tested.sphere.get("takes") else ("contact",)
         yielding = [f"{part}.{key}" for part in parts for key in keys]
         scattering = [name for name in yielding if name in varying]
-        names = [*SPHERE, "sphere.radius", *scattering]
         demand = sample.answer(limit.quantity) * _factor(limit, sample)
         finite = np.isfinite(demand)
         sphere = {
-            name.partition(".")[2]: np.broadcast_to(values[name], shape)[finite] for name in names
+            name.partition(".")[2]: np.broadcast_to(values[name], shape)[finite]
+            for name in (*SPHERE, "sphere.radius", *scattering)
         }
         radius = sphere.pop("radius")
         worth = demand[finite]
         if tested.law is not None:
-            numbers = {**tested.sphere, **sphere}
-            worth = force_at(worth, limit.demand, numbers, radius, tested.platens)
+            sphere = {**tested.sphere, **sphere}
+            worth = force_at(worth, limit.demand, sphere, radius, tested.platens)
         # one law of size serves rows, curves and the free number; of draws the value itself is the
         # force, in the size that they hold for
         force = np.full(shape, np.nan)
         force[finite] = worth * (tested.diameter / (2.0 * radius)) ** tested.exponent
-        late = sample.late(limit.quantity)
         sample = replace(
             sample,
             quantities=(*sample.quantities, column_of(limit)),
-            answers=np.concatenate([sample.answers, force[:, :, None]], axis=2),
-            censored=np.concatenate([sample.censored, late[:, :, None]], axis=2),
+            answers=np.dstack([sample.answers, force]),
+            censored=np.dstack([sample.censored, sample.late(limit.quantity)]),
         )
     return sample

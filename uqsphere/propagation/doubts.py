@@ -327,8 +327,8 @@ class Curves:
     def computed(self, limit: Limit) -> Doubt:
         """The limit as the study has it, at the unsafe end of the numerical interval."""
         base = self.base(limit)
-        ends = [self._ends(means) for means in base]
-        return self._doubt(Alternative(code="computation", limit=limit), ends, base[1])
+        as_it_is = Alternative(code="computation", limit=limit)
+        return self._doubt(as_it_is, [self._ends(means) for means in base], base[1])
 
     def _ends(self, means: Array) -> Array:
         """The unsafe ends (K,) of the numerical intervals of probabilities (K, R)."""
@@ -379,11 +379,11 @@ class Curves:
             untargeted=tuple(limits[asked.name] for asked in self.aim.untargeted),
         )
         curves = Curves(aim=aim, line=self.yielding)
-        few = self.few.base(limit)
+        before = self.few.base(limit), self.base(limit)
         strengths = [other for other in others if other.laws]
         for other in (Alternative(code="contact law", limit=limit), *strengths):
             rows = curves.by_strengths(limits[limit.name], other.laws)
-            unsafe = self._shifted(limit, rows, few, self.base(limit), self._unsafe)
+            unsafe = self._shifted(limit, rows, *before, self._unsafe)
             yield self._doubt(replace(other, code="contact law"), *unsafe)
 
     @property

@@ -254,8 +254,13 @@ def demands_in_tests(study: Study, series: Sequence[Tested], mode: AssumedMode) 
     parts = []
     for tested in series:
         diameters = np.array(tested.diameters)
-        forces = np.array(tested.forces)
-        demand = value_at(forces, mode.limit.demand, tested.sphere, 0.5 * diameters, tested.platens)
+        demand = value_at(
+            np.array(tested.forces),
+            mode.limit.demand,
+            tested.sphere,
+            0.5 * diameters,
+            tested.platens,
+        )
         parts.append(demand / (size_factor(mode.declared, mode.entry, diameters) / mean))
     return np.concatenate(parts)
 

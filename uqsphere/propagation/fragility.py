@@ -34,7 +34,6 @@ def fragility(design: Design, tables: Tables) -> Rows:
     margins = design.study.margins
     if margins is None or (margins.limit is None and not tables.line):
         return
-    unit = lookup(margins.solve).unit
     runs = tables.line_runs
     planned = planned_value(design)
     for limit in design.judged.limits:
@@ -43,6 +42,7 @@ def fragility(design: Design, tables: Tables) -> Rows:
         for at, *ends in fitted.curve:
             yield number_row(subject, "curve", at, *ends, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
+            unit = lookup(margins.solve).unit
             yield estimate_row(subject, "margin", p, estimate, unit=unit, runs=runs)
         allowed = fitted.values.get(limit.allowable)
         if allowed is None or not allowed.value or not planned or not limit.has_target:

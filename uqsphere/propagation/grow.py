@@ -262,9 +262,15 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     SALib's order.
     """
     mixed = []
-    place = {"count": count, "start": start, "seed": design.study.seed}
     for replicate in range(REPLICATES):
-        halves = base_points(design.blocks, task="pairs", replicate=replicate, **place)
+        halves = base_points(
+            design.blocks,
+            task="pairs",
+            replicate=replicate,
+            count=count,
+            start=start,
+            seed=design.study.seed,
+        )
         physical = design.joint_inputs.physical(normal_scores(np.stack(halves)))
         mixed.append(design.blocks.mix(*physical))
     return np.stack(mixed)
@@ -285,8 +291,8 @@ def _accuracies(design: Design, tables: Tables) -> Iterator[Accuracy]:
         if description.mean.value is None or not scale > 0.0:
             continue
         least = 1e-13 * abs(description.mean.value) / scale
-        half = description.mean.half_width
-        yield Accuracy(name, "mean", half / scale - least, required.mean)
+        error = description.mean.half_width / scale - least
+        yield Accuracy(name, "mean", error, required.mean)
         for p, estimate in description.quantiles.items():
             if estimate.value is not None:
                 error = estimate.half_width / scale - least

@@ -51,8 +51,8 @@ def density(values: Array) -> list[list[float]] | None:
     width = 0.9 * (min(sd, (third - first) / 1.349) or sd) * flat.size**-0.2
     places = np.linspace(low - 2.0 * width, high + 2.0 * width, 160)
     # counts in cells much finer than the kernel, so that the cost does not grow with the rows
-    ends = places[0] - 3.0 * width, places[-1] + 3.0 * width
-    counts, edges = np.histogram(flat, bins=2048, range=ends)
+    reach = 3.0 * width
+    counts, edges = np.histogram(flat, bins=2048, range=(places[0] - reach, places[-1] + reach))
     middles = 0.5 * (edges[1:] + edges[:-1])
     kernel = np.exp(-0.5 * ((places[:, None] - middles) / width) ** 2)
     kernel /= width * np.sqrt(2.0 * np.pi)
@@ -92,8 +92,7 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Rows:
     source = source_of(design, tables)
     seed = design.study.seed
     sample = source.rows
-    scores = sample.scores[..., : len(names)].reshape(-1, len(names))
-    given = special.ndtr(scores[:GIVEN])
+    given = special.ndtr(sample.scores[..., : len(names)].reshape(-1, len(names))[:GIVEN])
     for method in SALIB_METHODS:
         if method not in design.study.analysis.measures:
             continue

@@ -134,10 +134,14 @@ def design_points(design: Design, tables: Tables) -> Rows:
     for limit in design.limits:
         for name, value in _design_point(design, tables, limit).items():
             unit = lookup(limit.quantity if is_strength(name) else name).unit
-            subject = design.subject(limit)
-            method, runs = "FORM", tables.runs
             yield number_row(
-                subject, "design_point", name, value, unit=unit, method=method, runs=runs
+                design.subject(limit),
+                "design_point",
+                name,
+                value,
+                unit=unit,
+                method="FORM",
+                runs=tables.runs,
             )
 
 
@@ -156,8 +160,8 @@ def _design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, 
         sample = points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None])
         return with_test_forces(design, sample, {}, [limit])
 
-    problem = _problem(design, limit, answered, MOST_VALUES)
-    return _physical(design, limit, answered, find_design_points(problem))
+    points = find_design_points(_problem(design, limit, answered, MOST_VALUES))
+    return _physical(design, limit, answered, points)
 
 
 def _problem(

@@ -148,8 +148,8 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
         if integrals.sd > 0.0:
             share = (form.coefficients[which] ** 2).sum() / integrals.sd**2
         part = expansion.projection(which, share)
-        index = _index(expansion, part, np.zeros_like(everything), everything)
-        indices[f"{one},{other}"] = (index,)
+        second = _index(expansion, part, np.zeros_like(everything), everything)
+        indices[f"{one},{other}"] = (second,)
     return indices
 
 

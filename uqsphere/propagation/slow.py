@@ -55,8 +55,11 @@ class Slow:
         """The predictions of a quantity, corrected by its rows; None where it has none."""
         if self.predicted is None:
             return None
-        table = self.predicted.answer(name)
-        return Corrected(response=self.responses[name], table=table, dropped=self.dropped)
+        return Corrected(
+            response=self.responses[name],
+            table=self.predicted.answer(name),
+            dropped=self.dropped,
+        )
 
     def values(self, name: str) -> Array:
         """Values (R, n) that stand for the distribution of a quantity."""

@@ -115,9 +115,8 @@ def input_rows(
     numbers that move from point to point, for all replicates at once or (R, n).
     """
     names = [*design.inputs, *moving]
-    columns = [*map(points.input, design.inputs), *moving.values()]
     rows = np.empty((*points.scores.shape[:2], len(names)))
-    for place, column in enumerate(columns):
+    for place, column in enumerate([*map(points.input, design.inputs), *moving.values()]):
         rows[:, :, place] = column
     return names, rows.reshape(points.size, len(names))
 

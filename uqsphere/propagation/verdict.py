@@ -68,7 +68,7 @@ class Judged:
         """
         limits = self.aim.limits
         governing = self.settled.governing
-        if governing.code != "assumed strength" and any(limit.has_target for limit in limits):
+        if governing.code != "assumed strength" and limits[0].has_target:
             return self.settled.setting.limit
         return next((limit for limit in limits if means_fracture(limit)), limits[0])
 
@@ -107,8 +107,7 @@ def judge(
                     settled = settling.accurately(aim, line)
             if tables.line:
                 tables = replace(tables, line=settled.line.samples)
-        by_study = Curves(aim=replace(aim, modes=()), line=plan.line)
-        probability = _at_plan(tables, by_study)
+        probability = _at_plan(tables, Curves(aim=replace(aim, modes=()), line=plan.line))
         if aim.survive:
             for mode in design.modes:
                 probability[mode.limit.name] = failure(design, tables, mode.limit)
@@ -145,7 +144,7 @@ def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
 
 def aim_of(design: Design, word: types.Aim) -> Aim:
     """The limits of an aim, and what adds up with them: those without a target are judged only
-    where none has one.
+    where none has one, so that all limits of an aim have one, or none.
     """
     every = [limit for limit in design.limits if limit.aim == word]
     limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
@@ -200,7 +199,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         alone = judged.settling.once(replace(aim, modes=()), settled.line)
     library = _library(judged, alone)
     target = all_modes = None
-    if any(limit.has_target for limit in aim.limits):
+    if aim.limits[0].has_target:
         target = settled.setting.limit.target
         if governing.code == "assumed strength":
             target = governing.limit.target
@@ -249,8 +248,9 @@ def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None
         if settled.least:
             factor = planned / number
     curves = settled.curves
-    own = [curves.margin(limit, curves.middle(limit)) for limit in settled.aim.limits]
-    best = settled.most_conservative(own)
+    best = settled.most_conservative(
+        [curves.margin(limit, curves.middle(limit)) for limit in settled.aim.limits]
+    )
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
     if library is not None:
         margins += [library.weak, library.strong]
@@ -369,7 +369,7 @@ def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWo
     target, not met where none does and a limit misses its own, and undecided between.
     """
     limits = judged.aim.limits
-    if not any(limit.has_target for limit in limits):
+    if not limits[0].has_target:
         return "no target"
     if any(caveat.code != "rate" for caveat in caveats):
         return "not established"
@@ -494,8 +494,6 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         low, high = sorted(aim.failure(end)[0] for end in (doubt.curve, doubt.opposite))
         value = np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high)
         note = "95 % range over the strengths that the tests allow, with the other failure modes"
-    method = "epistemic"
-    runs = judged.plan.line.rows.size
     yield number_row(
         subject,
         "failure_probability",
@@ -503,15 +501,19 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         value,
         low,
         high,
-        runs=runs,
-        method=method,
+        runs=judged.plan.line.rows.size,
+        method="epistemic",
         note=note,
     )
     margin = judged.along(doubt)
     if margins is not None and margin is not None and math.isfinite(margin):
-        unit = lookup(margins.solve).unit
-        runs = judged.settled.line.rows.size
-        note = "conservative end, with the other failure modes"
         yield number_row(
-            subject, "margin", at, margin, unit=unit, runs=runs, method=method, note=note
+            subject,
+            "margin",
+            at,
+            margin,
+            unit=lookup(margins.solve).unit,
+            runs=judged.settled.line.rows.size,
+            method="epistemic",
+            note="conservative end, with the other failure modes",
         )

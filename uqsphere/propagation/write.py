@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import math
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -117,7 +117,7 @@ def results_of(
             },
             not_judged=design.not_judged,
             dependence=[_dependence(tie) for tie in study.dependence],
-            correlations=_correlations(design, tables),
+            correlations=[*_correlations(design, tables)],
         ),
         inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
         answers=answers,
@@ -142,8 +142,8 @@ def _description(design: Design) -> list[str]:
     """What was studied, in two lines: rock, size and rig; strength with its tests."""
     study = design.study
     if study.black_box:
-        count = len(study.fixed) + len(study.random)
-        first = f"Black box of {count} inputs: {', '.join(study.outputs)}"
+        names = ", ".join(study.outputs)
+        first = f"Black box of {len(study.fixed) + len(study.random)} inputs: {names}"
     else:
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
         size = f"{2e3 * study.at_means()['sphere.radius']:.3g} mm"
@@ -221,17 +221,14 @@ def _some(outputs: Array, predicted: Array) -> list[list[float]]:
     return [[float(f"{number:.5g}") for number in row] for row in chosen]
 
 
-def _correlations(design: Design, tables: Tables) -> list[CorrelationEntry]:
+def _correlations(design: Design, tables: Tables) -> Iterator[CorrelationEntry]:
     """Correlation of the quantities of interest, in pairs."""
     names = [name for name in design.study.analysis.quantities if name in design.described]
-    entries = []
     for first, second in itertools.combinations(names[:MOST_CORRELATED], 2):
         columns = np.stack([tables.sample.answer(name).ravel() for name in (first, second)])
         columns = columns[:, np.isfinite(columns).all(axis=0)]
         if columns.shape[1] > 1 and (np.ptp(columns, axis=1) > 0.0).all():
-            value = np.corrcoef(columns)[0, 1]
-            entries.append(CorrelationEntry(of=[first, second], value=value))
-    return entries
+            yield CorrelationEntry(of=[first, second], value=np.corrcoef(columns)[0, 1])
 
 
 def _limit(limit: Limit, **origin: Any) -> LimitEntry:
@@ -314,9 +311,14 @@ def _strength(limit: Limit) -> Strength:
             density = [places.tolist(), law.pdf(places).tolist()]
     else:
         p05 = median = p95 = law
-    text = _strength_text(limit)
-    unit = display_unit(limit.quantity)[0]
-    return Strength(text=text, unit=unit, median=median, p05=p05, p95=p95, density=density)
+    return Strength(
+        text=_strength_text(limit),
+        unit=display_unit(limit.quantity)[0],
+        median=median,
+        p05=p05,
+        p95=p95,
+        density=density,
+    )
 
 
 def _strength_text(limit: Limit) -> str:

@@ -41,11 +41,10 @@ def estimate_row(
     subject: str, answer: str, at: float | str, estimate: Estimate, **origin: Any
 ) -> Answer:
     """A row of an estimate, with its runs; one without a value leaves its reason as the note."""
-    ends = estimate.low, estimate.high
     low, high = estimate.outer
     origin |= {"method": estimate.method, "note": estimate.reason or ""}
     origin |= {"low_unseen": low, "high_unseen": high, "std_error": estimate.std_error}
-    return number_row(subject, answer, at, estimate.value, *ends, **origin)
+    return number_row(subject, answer, at, estimate.value, estimate.low, estimate.high, **origin)
 
 
 def number_row(

@@ -58,8 +58,11 @@ def locked(folder: Path) -> Iterator[None]:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         folder.mkdir(parents=True, exist_ok=True)
-        names = sorted(entry.name for entry in folder.iterdir())
-        strange = [name for name in names if name not in OWN and not name.startswith(PART)]
+        strange = sorted(
+            entry.name
+            for entry in folder.iterdir()
+            if entry.name not in OWN and not entry.name.startswith(PART)
+        )
         if strange:
             raise FolderError(
                 f"{as_text(folder)} contains {strange[0]!r}, which uqsphere did not write. Choose "
@@ -98,22 +101,24 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     contents[SUMS] = "".join(
         f"{digest}  {name}\n" for name, digest in sorted(sums.items())
     ).encode()
-    with _granted(folder), contextlib.ExitStack() as stack:
+    with _granted(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        waiting = tempfile.TemporaryDirectory(dir=folder, prefix=PART, ignore_cleanup_errors=True)
-        part = Path(stack.enter_context(waiting))
-        for number, (name, content) in enumerate(contents.items()):
-            parents = (folder / name).parents
-            link = next((path for path in parents if path != folder and path.is_symlink()), None)
-            if link is not None and folder in link.parents:
-                raise FolderError(f"{as_text(link)} is a link, which is not followed. Remove it")
-            (part / f"{number}").write_bytes(content)
-        for number, name in enumerate(contents):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(part / f"{number}", folder / name)
-        for name in before.keys() - sums.keys():
-            if _is_inside(folder, name):
-                (folder / name).unlink()
+        with tempfile.TemporaryDirectory(
+            dir=folder, prefix=PART, ignore_cleanup_errors=True
+        ) as part:
+            for number, (name, content) in enumerate(contents.items()):
+                parents = [path for path in (folder / name).parents if folder in path.parents]
+                for link in filter(Path.is_symlink, parents):
+                    raise FolderError(
+                        f"{as_text(link)} is a link, which is not followed. Remove it"
+                    )
+                Path(part, f"{number}").write_bytes(content)
+            for number, name in enumerate(contents):
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(Path(part, f"{number}"), folder / name)
+            for name in before.keys() - sums.keys():
+                if _is_inside(folder, name):
+                    (folder / name).unlink()
 
 
 def _is_inside(folder: Path, name: str) -> bool:
@@ -168,9 +173,8 @@ def read_results(folder: Path) -> Results:
     path = folder / RESULTS
     if path.is_file() and path.stat().st_size > LARGEST:
         raise FolderError(f"{as_text(path)} is larger than any run writes")
-    content = read_checked(folder, RESULTS)
     try:
-        return Results.model_validate_json(content)
+        return Results.model_validate_json(read_checked(folder, RESULTS))
     except ValueError:
         raise FolderError(f"{as_text(path)} is of another version. {_AGAIN}") from None
 

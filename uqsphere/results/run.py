@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,11 +45,10 @@ class Run:
     pairs_of: Callable[[str], Any] | None = None
 
     def __repr__(self) -> str:
-        study = self.results.study
-        accuracy = self.results.accuracy
+        results = self.results
         return (
-            f"<Run {study.title!r}: {len(self.results.answers)} answers of "
-            f"{accuracy.runs:,} model runs>"
+            f"<Run {results.study.title!r}: {len(results.answers)} answers of "
+            f"{results.accuracy.runs:,} model runs>"
         )
 
     def _repr_html_(self) -> str:
@@ -176,14 +174,14 @@ class Run:
         return Plots(self.results)
 
     def _subject(self, limit: str) -> str:
-        subjects = dict.fromkeys(row.subject for row in self.results.answers)
-        for subject in (limit, f"limits.{limit}", f"modes.{limit}"):
-            if subject in subjects:
+        study = self.results.study
+        names = {f"limits.{name}": name for name in study.limits}
+        names |= {f"modes.{name}": name for name in study.modes}
+        for subject, name in names.items():
+            if limit in (subject, name):
                 return subject
-        names = [re.sub(r"^(limits|modes)\.", "", s) for s in subjects if "." in s]
-        raise UsageError(
-            f"no limit or failure mode {limit!r} (known: {', '.join(names) or 'none'})"
-        )
+        known = ", ".join(names.values()) or "none"
+        raise UsageError(f"no limit or failure mode {limit!r} (known: {known})")
 
     def _rows(self, subject: str, answer: str) -> pd.DataFrame:
         table = self.answers[self.answers["subject"] == subject]
