@@ -82,15 +82,13 @@ def with_test_forces(
         if tested is None or not by_force(limit):
             continue
         # numbers of what yields in the tests count where they scatter from row to row
-        keys = [key for key in LAW if key in tested.sphere]
         parts = ("sphere", "contact") if tested.sphere.get("takes") else ("contact",)
-        yielding = [f"{part}.{key}" for part in parts for key in keys]
-        scattering = [name for name in yielding if name in varying]
+        yielding = [f"{part}.{key}" for part in parts for key in LAW if key in tested.sphere]
         demand = sample.answer(limit.quantity) * _factor(limit, sample)
         finite = np.isfinite(demand)
         sphere = {
             name.partition(".")[2]: np.broadcast_to(values[name], shape)[finite]
-            for name in (*SPHERE, "sphere.radius", *scattering)
+            for name in (*SPHERE, "sphere.radius", *varying.keys() & yielding)
         }
         radius = sphere.pop("radius")
         worth = demand[finite]

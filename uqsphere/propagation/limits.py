@@ -75,15 +75,15 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     if limit.name in tables.failures:
         return tables.failures[limit.name]
-    state = state_of(design, limit, tables.sample)
-    sampled = failure_of_aim(state, limit.aim)
+    column = column_of(limit)
+    sampled = failure_of_aim(state_of(design, limit, tables.sample), limit.aim)
     if limit.name in tables.rare:
         return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
-    lost = state.late.any() or state.broken.any()
-    if not design.drawn.names and sampled.value is not None and not lost:
+    constant = not design.drawn.names and tables.sample.knows(column)
+    if constant and sampled.value is not None:
         return exact(sampled.value)
     return source_of(design, tables).probability(
-        column_of(limit),
+        column,
         sampled,
         lambda sample: failure_given_inputs(state_of(design, limit, sample), limit.aim),
     )

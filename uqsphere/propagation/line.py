@@ -168,8 +168,7 @@ def line_of(design: Design, tables: Tables) -> Line | None:
     margins = design.study.margins
     samples = tables.line
     if margins is not None and margins.limit is not None:
-        sample = tables.sample.head(_SHARED)
-        samples = dict.fromkeys(grid(margins, VALUES), sample)
+        samples = dict.fromkeys(grid(margins, VALUES), tables.sample.head(_SHARED))
     if not samples:
         return None
     return Line(design=design, samples=samples)

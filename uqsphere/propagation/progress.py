@@ -19,27 +19,14 @@ EVERY = 3.0
 FORMAT = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}{postfix}"
 
 
-def share_done(error: float) -> float:
-    """The share of the work that is done at an error over its tolerance: with runs n it falls about
-    as n^(-3/4).
-    """
-    if not error > 1.0:
-        return 1.0
-    return float(error ** (-4.0 / 3.0))
-
-
-def in_notebook() -> bool:
-    """Whether a person looks at a notebook, where tqdm has a widget of its own."""
-    shell: Any = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    return getattr(shell, "kernel", None) is not None
-
-
 @contextlib.contextmanager
 def watched(*, lines: bool = False) -> Iterator[Progress]:
     """A bar in a notebook and on a terminal; elsewhere nothing, or `lines` every few seconds; all
     on stderr.
     """
-    notebook = in_notebook()
+    # in a notebook tqdm has a widget of its own
+    shell: Any = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    notebook = getattr(shell, "kernel", None) is not None
     if notebook or (sys.stderr.isatty() and os.environ.get("TERM") != "dumb"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a notebook without widgets has a bar of text

@@ -78,14 +78,14 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
         by_tests = doubt.limit in limits and (doubt.code == "computation" or doubt.detail)
         if not by_tests and doubt.margin is not None and math.isfinite(doubt.margin):
             margins.append(doubt.margin)
-    places = [np.full(_SERIES, line.place_of(margin)) for margin in margins]
+    start = np.full(_SERIES, line.place_of(pick.reduce(margins)))
     promises = [_Promise(settled, limit) for limit in limits]
     today = max(len(tests_behind(limit)) for limit in limits)
     gains = []
     for n in sizes:
         if n > today:
             uniforms = np.sort(np.random.default_rng(n).random((_SERIES, n)), axis=1)
-            allowed = [*places]
+            allowed = [start]
             for promise in promises:
                 allowed += promise.places(uniforms)
             ends = np.quantile(pick.reduce(allowed), [0.1, 0.5, 0.9])
@@ -136,9 +136,8 @@ class _Promise:
             kind = STRENGTHS[name]
             location, scale = (part[:, None] for part in kind.fit(logs, leaving))
             centre, inverse = _pivots(kind, tuple(leaving.tolist()), self.limit.allowable)
-            end = ENDS[settled.least]
             strengths = location - scale * centre, scale * inverse
-            at = np.array([np.quantile(table(*strengths), end, axis=1) for table in tables]).T
+            at = np.quantile([table(*strengths) for table in tables], ENDS[settled.least], axis=2).T
             if added is not None:  # where the limit's share and the other modes make the target
                 together = score(self.allowed + added(at))
                 target = score(self.limit.allowable)

@@ -278,13 +278,12 @@ def _test_points(tables: Tables, limit: Limit) -> list[list[float]] | None:
         return None
     strengths = np.array([*law.data, *law.censored])
     stopped = np.arange(len(strengths)) >= len(law.data)
-    values = np.array(sorted(tables.line))
-    demands = np.array([np.nanmedian(demands_of(limit, tables.line[x])) for x in values])
+    demands = np.array([np.nanmedian(demands_of(limit, rows)) for rows in tables.line.values()])
     if not (np.isfinite(demands).all() and (np.diff(demands) > 0.0).all() and demands[0] > 0.0):
         return None
     order = np.lexsort((stopped, strengths))
     stopped = stopped[order]
-    along = np.interp(np.log(strengths[order]), np.log(demands), values, np.nan, np.nan)
+    along = np.interp(np.log(strengths[order]), np.log(demands), [*tables.line], np.nan, np.nan)
     points = np.array([along, _kaplan_meier(stopped), stopped])
     shown: list[list[float]] = points[:, np.isfinite(along)].tolist()
     if not shown[0]:
@@ -304,9 +303,8 @@ def _strength(limit: Limit) -> Strength:
     law = limit.strength
     density = None
     if isinstance(law, Law):
-        p05, median, p95 = law.ppf([0.05, 0.5, 0.95]).tolist()
+        low, p05, median, p95, high = law.ppf([0.001, 0.05, 0.5, 0.95, 0.999]).tolist()
         if not law.is_steps:
-            low, high = law.ppf([0.001, 0.999])
             places = np.linspace(low, high, 160)
             density = [places.tolist(), law.pdf(places).tolist()]
     else:

@@ -42,9 +42,20 @@ def estimate_row(
 ) -> Answer:
     """A row of an estimate, with its runs; one without a value leaves its reason as the note."""
     low, high = estimate.outer
-    origin |= {"method": estimate.method, "note": estimate.reason or ""}
-    origin |= {"low_unseen": low, "high_unseen": high, "std_error": estimate.std_error}
-    return number_row(subject, answer, at, estimate.value, estimate.low, estimate.high, **origin)
+    return number_row(
+        subject,
+        answer,
+        at,
+        estimate.value,
+        estimate.low,
+        estimate.high,
+        low_unseen=low,
+        high_unseen=high,
+        std_error=estimate.std_error,
+        method=estimate.method,
+        note=estimate.reason or "",
+        **origin,
+    )
 
 
 def number_row(
@@ -60,12 +71,12 @@ def number_row(
 
     The unit is that of the kind of answer, or of the quantity; others are given.
     """
-    unit = Kind(answer).unit
+    kind = Kind(answer)
+    unit = kind.unit
     if unit == OF_QUANTITY:
         unit = lookup(subject).unit
-    cells = {"unit": unit, "low_unseen": low, "high_unseen": high, **origin}
-    cells |= {"subject": subject, "answer": answer, "at": at}
-    return Answer(value=value, low=low, high=high, **cells)
+    cells = {"unit": unit, "low_unseen": low, "high_unseen": high} | origin
+    return Answer(subject=subject, answer=kind, at=at, value=value, low=low, high=high, **cells)
 
 
 def frame_of(rows: Iterable[Answer]) -> pd.DataFrame:

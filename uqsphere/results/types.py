@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 #: version of results.json
 SCHEMA_VERSION: Final = 3
@@ -237,10 +237,8 @@ class LimitEntry(Part):
     quantity: str
     """quantity that is held against the strength"""
     aim: Aim
-    target: float = Field(
-        description="largest failure probability that is accepted; without one of its own the "
-        "least of the limits with the same aim"
-    )
+    target: float
+    """largest failure probability that is accepted; by default the least of the same aim"""
     has_target: bool
     """whether the study gives this target"""
     allowable: float
@@ -277,11 +275,8 @@ class QuantityEntry(Part):
     """values and their densities"""
     onset: Finite = None
     """of a contact pressure: where the first contact starts to yield, at the means"""
-    expansion_error: Finite = Field(
-        default=None,
-        description="share of the variance that the polynomial chaos does not explain, at model "
-        "runs that it was not fitted to",
-    )
+    expansion_error: Finite = None
+    """share of the variance that the polynomial chaos leaves at runs that it was not fitted to"""
     held_out: Sequence[Sequence[float]] | None = None
     """some of these runs: outputs, and what the chaos predicts"""
 
