@@ -24,7 +24,7 @@ from uqsphere.propagation.failure_modes import (
 )
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
-from uqsphere.uq import Joint, Law, Sample, sobol_points
+from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
 from uqsphere.uq.chaos import GermLike, germs_of
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.indices import Blocks
@@ -137,6 +137,10 @@ class Design:
         if self.study.analysis.policy == "bound":
             return "bound"
         return "drop"
+
+    def generator(self, task: str) -> np.random.Generator:
+        """Random numbers of a task, by the seed of the study."""
+        return random_generator(seed=self.study.seed, task=task)
 
     def subject(self, limit: Limit) -> str:
         """The name of a limit in the table of answers."""

@@ -24,7 +24,7 @@ from uqsphere.propagation.line import Line, score
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Law, LawError, make_law, random_generator
+from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.estimate import ENDS, probability_ends, spread
 from uqsphere.uq.fitting import (
     STRENGTHS,
@@ -180,7 +180,7 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, list[Law]]:
     tests = tests_behind(limit) or (0.0,)
     task = f"{count_tests(law)} tests from {tests[0]!r} to {tests[-1]!r}"
     for name, fitted in laws.items():
-        generator = random_generator(seed=design.study.seed, task=task)
+        generator = design.generator(task)
         with suppress(LawError):
             allowed[name] = [*possible_laws(fitted, LAWS, generator, limit.allowable)]
     return allowed

@@ -28,7 +28,6 @@ from uqsphere.uq import (
     exact,
     failure_of_aim,
     from_replicates,
-    random_generator,
     score_of,
 )
 from uqsphere.uq.estimate import count_bound
@@ -213,7 +212,7 @@ def fracture(design: Design, tables: Tables) -> Rows:
     if len(limits) < 2 or design.study.black_box or not design.drawn.names:
         return
     sample = tables.sample.head(SPHERES)
-    generator = random_generator(seed=design.study.seed, task="fracture")
+    generator = design.generator("fracture")
     union = make_union(
         [state_of(design, limit, sample) for limit in limits],
         _common_factor(design, limits),

@@ -118,7 +118,7 @@ class _Promise:
         if settled.curves.adds_up(limit):
             self.allowed = limit.allowable * np.array(_SHARES)
             self.added = _added(settled, limit, self.modes)
-        self.tables = {name: _tabulated(settled, limit, name, self.allowed) for name in names}
+        self.tables = {name: self._tabulated(name) for name in names}
 
     def places(self, uniforms: Array) -> Iterator[Array]:
         """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
@@ -174,6 +174,43 @@ class _Promise:
         raised += math.log(median(mode.weak) / median(mode.middle))
         # forces beyond what a mode can reach say nothing of it
         return np.where(raised > _range_of(mode), math.inf, np.fmax(raised, 0.0))
+
+    def _tabulated(self, name: str) -> list[Tabulated]:
+        """Places at some probabilities of exceedance under a distribution: over the quantile of the
+        strength at the target, in which they are nearly linear, and the scale; beyond the line its
+        ends.
+        """
+        from scipy.interpolate import RectBivariateSpline
+
+        fitted, location, scale = _place_of(self.law)
+        wider = math.sqrt(6.0) / math.pi
+        kind = STRENGTHS[name]
+        # the same mean and standard deviation of the logarithm
+        if fitted.normal and not kind.normal:
+            location = location + _GAMMA * wider * scale
+            scale = scale * wider
+        elif kind.normal and not fitted.normal:
+            location = location - _GAMMA * scale
+            scale = scale / wider
+        below = np.array([self.limit.allowable])
+        (z,) = kind.form.quantile(below, 1.0 - below)
+        scales = scale * np.geomspace(0.25, 4.0, _SCALES)
+        steps = np.linspace(-3.0, 3.0, _QUANTILES) * max(abs(z), 1.0) * scale
+        quantiles = location + z * scale + steps
+        laws = [
+            make_law(name, kind.parameters(quantile - z * width, width))
+            for quantile, width in itertools.product(quantiles, scales)
+        ]
+        curves = self.settled.curves.by_strengths(self.limit, laws)[0].mean(axis=2)
+        table = _places(self.settled, score(curves), self.allowed).reshape(
+            quantiles.size, scales.size, -1
+        )
+
+        def tabulated(places: Array) -> Tabulated:
+            spline = RectBivariateSpline(quantiles, np.log(scales), places, kx=1, ky=1)
+            return lambda at, wide: spline.ev(at + z * wide, np.log(wide))
+
+        return [tabulated(places) for places in np.moveaxis(table, 2, 0)]
 
 
 def _range_of(mode: AssumedMode) -> float:
@@ -231,43 +268,6 @@ def _refuted(kind: LocationScale, logs: Array, leaving: Array) -> Flags:
     usual = kind.series(leaving, 1000, np.random.default_rng(leaving.size + 1))
     most = np.quantile(kind.misfit(usual, leaving), 1.0 - REFUTED)
     return np.asarray(kind.misfit(logs, leaving) > most)
-
-
-def _tabulated(settled: Settled, limit: Limit, name: str, allowed: Array) -> list[Tabulated]:
-    """Places at some probabilities of exceedance under a distribution: over the quantile of the
-    strength at the target, in which they are nearly linear, and the scale; beyond the line its
-    ends.
-    """
-    from scipy.interpolate import RectBivariateSpline
-
-    law = strength_of(limit)
-    assert isinstance(law, Law)
-    (fitted, location, scale), wider = _place_of(law), math.sqrt(6.0) / math.pi
-    kind = STRENGTHS[name]
-    # the same mean and standard deviation of the logarithm
-    if fitted.normal and not kind.normal:
-        location = location + _GAMMA * wider * scale
-        scale = scale * wider
-    elif kind.normal and not fitted.normal:
-        location = location - _GAMMA * scale
-        scale = scale / wider
-    below = np.array([limit.allowable])
-    (z,) = kind.form.quantile(below, 1.0 - below)
-    scales = scale * np.geomspace(0.25, 4.0, _SCALES)
-    steps = np.linspace(-3.0, 3.0, _QUANTILES) * max(abs(z), 1.0) * scale
-    quantiles = location + z * scale + steps
-    laws = [
-        make_law(name, kind.parameters(quantile - z * width, width))
-        for quantile, width in itertools.product(quantiles, scales)
-    ]
-    curves = settled.curves.by_strengths(limit, laws)[0].mean(axis=2)
-    table = _places(settled, score(curves), allowed).reshape(quantiles.size, scales.size, -1)
-
-    def tabulated(places: Array) -> Tabulated:
-        spline = RectBivariateSpline(quantiles, np.log(scales), places, kx=1, ky=1)
-        return lambda at, wide: spline.ev(at + z * wide, np.log(wide))
-
-    return [tabulated(places) for places in np.moveaxis(table, 2, 0)]
 
 
 def _places(settled: Settled, scores: Array, allowed: Array) -> Array:

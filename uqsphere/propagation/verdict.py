@@ -12,8 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation.caveats import caveats_of
-from uqsphere.propagation.checks import Check
+from uqsphere.propagation.checks import Check, caveats_of
 from uqsphere.propagation.decision import Settled, Settling
 from uqsphere.propagation.demands import number_of_tests, strength_of
 from uqsphere.propagation.design import Design

@@ -48,7 +48,7 @@ from uqsphere.results.types import (
     StudyEntry,
 )
 from uqsphere.study import Limit, Study
-from uqsphere.uq import Dependence, Law, random_generator
+from uqsphere.uq import Dependence, Law
 
 #: rows of samples.csv
 MOST_ROWS = 16_384
@@ -403,7 +403,7 @@ def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
     sample = tables.rows
     head = sample.head(max(MOST_ROWS // sample.replicates, 1))
     table: dict[str, Array | Flags] = {name: head.input(name).ravel() for name in head.names}
-    generator = random_generator(seed=design.study.seed, task="strengths of samples")
+    generator = design.generator("strengths of samples")
     for limit in design.limits:
         state = state_of(design, limit, head)
         if isinstance(state.strength, Law):
