@@ -73,7 +73,7 @@ def _row(today: Settled, n: int, seen: Array) -> list[str]:
     assert gain.low is not None
     assert gain.high is not None
     limit = today.aim.limits[0]
-    curve = today.curves.by_strengths(limit, [_strength(limit)[0]])[1, 0].mean(axis=1)
+    curve = today.by_strengths(limit, [_strength(limit)[0]])[1, 0].mean(axis=1)
     p = np.array([today.line.at(curve, number) for number in seen])
     kept = p <= limit.allowable if today.aim.survive else p >= limit.allowable
     below, above = float(np.mean(seen < gain.low)), float(np.mean(seen > gain.high))

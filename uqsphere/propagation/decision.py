@@ -30,26 +30,28 @@ _CLOSE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Settled:
-    """Where the doubts of an aim leave the free number."""
+class Settled(Curves):
+    """Where the doubts of an aim leave the free number.
 
-    curves: Curves
-    doubts: tuple[Doubt, ...]
+    others : everything of the limits that may be otherwise
+    """
 
-    @property
-    def line(self) -> Line:
-        """The rows that it rests on."""
-        return self.curves.line
+    others: Sequence[Alternative]
 
-    @property
-    def aim(self) -> Aim:
-        """The limits and failure modes that are judged."""
-        return self.curves.aim
+    @cached_property
+    def doubts(self) -> list[Doubt]:
+        """Every doubt of the limits of the aim."""
+        doubts: list[Doubt] = []
+        for limit in self.aim.limits:
+            others = [other for other in self.others if other.limit.name == limit.name]
+            doubts += [self.computed(limit), *map(self.otherwise, others)]
+            doubts += self.contacts_yield(limit, others)
+        return doubts
 
     @cached_property
     def least(self) -> bool:
         """Whether larger values are safe: "use at least"."""
-        exceeded = sum(self.curves.base(limit)[0].mean(axis=1) for limit in self.aim.limits)
+        exceeded = sum(self.base(limit)[0].mean(axis=1) for limit in self.aim.limits)
         return bool(exceeded[-1] >= exceeded[0]) != self.aim.survive
 
     @property
@@ -93,18 +95,17 @@ class Settled:
         """The doubt that sets the number: where most of the failures there, or at the safe end if
         there is no number, are by another failure mode, that one as the study has it.
         """
-        curves = self.curves
         doubt = self.setting
-        if not self.aim.survive or not curves.adds_up(doubt.limit):
+        if not self.aim.survive or not self.adds_up(doubt.limit):
             return doubt
         at = self.use
         if at is None:
             at = self.ends[0]
         candidates = {doubt.limit.name: doubt}
-        for other in (*self.doubts, *map(curves.computed, self.aim.untargeted)):
-            if curves.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
+        for other in (*self.doubts, *map(self.computed, self.aim.untargeted)):
+            if self.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
                 candidates.setdefault(other.limit.name, other)
-        candidates |= {mode.limit.name: curves.assumed(mode) for mode in self.aim.modes}
+        candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
 
@@ -127,8 +128,7 @@ class Settling:
         yielding = None
         if self.yielding is not None:
             yielding = self.yielding.along(line.few)
-        curves = Curves(aim=aim, line=line, yielding=yielding)
-        return Settled(curves=curves, doubts=tuple(curves.doubts(self.others)))
+        return Settled(aim=aim, line=line, yielding=yielding, others=self.others)
 
     def accurately(self, aim: Aim, line: Line) -> Settled:
         """The number of an aim, with rows added until the governing curve is accurate there."""

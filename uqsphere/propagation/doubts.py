@@ -427,11 +427,3 @@ class Curves:
             error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
             margin=self.margin(alternative.limit, curves[1]),
         )
-
-    def doubts(self, others: Sequence[Alternative]) -> Iterator[Doubt]:
-        """Every doubt of the limits of the aim."""
-        for limit in self.aim.limits:
-            alternatives = [other for other in others if other.limit.name == limit.name]
-            yield self.computed(limit)
-            yield from map(self.otherwise, alternatives)
-            yield from self.contacts_yield(limit, alternatives)

@@ -115,7 +115,7 @@ class _Promise:
         library = failure_modes_of(settled.aim.design.study)[0]
         self.modes = [mode for mode in library if mode.called in counted]
         self.allowed, self.added = np.array([limit.allowable]), None
-        if settled.curves.adds_up(limit):
+        if settled.adds_up(limit):
             self.allowed = limit.allowable * np.array(_SHARES)
             self.added = _added(settled, limit, self.modes)
         self.tables = {name: self._tabulated(name) for name in names}
@@ -201,7 +201,7 @@ class _Promise:
             make_law(name, kind.parameters(quantile - z * width, width))
             for quantile, width in itertools.product(quantiles, scales)
         ]
-        curves = self.settled.curves.by_strengths(self.limit, laws)[0].mean(axis=2)
+        curves = self.settled.by_strengths(self.limit, laws)[0].mean(axis=2)
         table = _places(self.settled, score(curves), self.allowed).reshape(
             quantiles.size, scales.size, -1
         )

@@ -116,7 +116,7 @@ def judge(
                 plan=plan,
                 line=settled,
                 probability=probability,
-                all_modes=_at_plan(tables, plan.curves) if aim.modes else {},
+                all_modes=_at_plan(tables, plan) if aim.modes else {},
             )
         )
     return judged, tables
@@ -133,9 +133,9 @@ def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
     if math.isfinite(number) and (planned < number) == settled.least:
         return False
     for limit in settled.aim.limits:
-        (p,) = plan.curves.middle(limit)
-        away = abs(p - line.at(settled.curves.middle(limit), planned))
-        error = spread(plan.curves.base(limit)[1][0])
+        (p,) = plan.middle(limit)
+        away = abs(p - line.at(settled.middle(limit), planned))
+        error = spread(plan.base(limit)[1][0])
         if not settled.aim.keeps(p, limit) and away > SURE * error:
             return True
     return False
@@ -218,7 +218,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         own=alone.number,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
-        curve=_curve(settled, settled.curves.middle(lead)),
+        curve=_curve(settled, settled.middle(lead)),
         band=_band(settled),
         doubts=_certificate(judged),
         caveats=caveats,
@@ -246,9 +246,8 @@ def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None
         factor = number / planned
         if settled.least:
             factor = planned / number
-    curves = settled.curves
     best = settled.most_conservative(
-        [curves.margin(limit, curves.middle(limit)) for limit in settled.aim.limits]
+        [settled.margin(limit, settled.middle(limit)) for limit in settled.aim.limits]
     )
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
     if library is not None:
@@ -316,7 +315,7 @@ def _certificate(judged: Judged) -> list[types.Doubt]:
     rows = [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in judged.settled.doubts]
     if judged.aim.survive:
         for mode in judged.aim.design.modes:
-            assumed = judged.settled.curves.assumed(mode)
+            assumed = judged.settled.assumed(mode)
             row = _row(judged, assumed, judged.probability[mode.limit.name].value)
             rows.append(row.model_copy(update={"counts": mode in judged.aim.modes}))
     return rows
@@ -355,7 +354,7 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
         at_number=types.Range(value=at_number),
         at_plan=types.Range(value=at_plan),
         governs=doubt.key == settled.governing.key,
-        joint=code != "assumed strength" and settled.curves.adds_up(limit),
+        joint=code != "assumed strength" and settled.adds_up(limit),
         tests=number_of_tests(strength_of(limit)),
     )
 
@@ -491,7 +490,7 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         if isinstance(law, Law) and law.family.name == doubt.detail:
             at = "tests"
         low, high = sorted(aim.failure(end)[0] for end in (doubt.curve, doubt.opposite))
-        value = np.clip(aim.failure(judged.plan.curves.middle(limit))[0], low, high)
+        value = np.clip(aim.failure(judged.plan.middle(limit))[0], low, high)
         note = "95 % range over the strengths that the tests allow, with the other failure modes"
     yield number_row(
         subject,
