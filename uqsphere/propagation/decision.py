@@ -57,11 +57,10 @@ class Settled(Curves):
     @property
     def ends(self) -> tuple[float, float]:
         """The safe and the unsafe end of the line."""
-        first = self.line.values[0]
-        last = self.line.values[-1]
+        ends = self.line.values[0], self.line.values[-1]
         if self.least:
-            return last, first
-        return first, last
+            return ends[::-1]
+        return ends
 
     @cached_property
     def number(self) -> float | None:
@@ -96,7 +95,7 @@ class Settled(Curves):
         there is no number, are by another failure mode, that one as the study has it.
         """
         doubt = self.setting
-        if not self.aim.survive or not self.adds_up(doubt.limit):
+        if not self.adds_up(doubt.limit):
             return doubt
         at = self.use
         if at is None:

@@ -114,6 +114,11 @@ def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
     return above if aim == "break" else below
 
 
+def sign_of(limit: Limit) -> float:
+    """-1 for a limit that must break, else 1."""
+    return -1.0 if limit.aim == "break" else 1.0
+
+
 def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
     """Demands of a limit at points against its strength, with the dependence between the two."""
     strength = strength_of(limit)
@@ -169,11 +174,8 @@ def drivers(design: Design, tables: Tables) -> Rows:
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
             score = score_of(*law.tails(state.demands))
-            sign = 1.0
-            if limit.aim == "break":
-                sign = -1.0
             low, high = (
-                special.ndtr(sign * state.score_given_inputs(score + step)).mean(axis=1)
+                special.ndtr(sign_of(limit) * state.score_given_inputs(score + step)).mean(axis=1)
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
@@ -249,8 +251,8 @@ def _each_once(limits: Sequence[Limit]) -> list[Limit]:
     """The limits that count as fracture, one for each strength: a sphere that must not break below
     one speed and must above another has one strength.
     """
-    once: list[Limit] = []
-    strengths: list[object] = []
+    once = []
+    strengths = []
     for limit in limits:
         strength = (limit.quantity, limit.strength, limit.model_factor)
         if limit.fracture is not False and strength not in strengths:
@@ -263,16 +265,16 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     """Cholesky factor of the correlation that strengths have with each other, given all that is
     drawn.
     """
-    joint = design.joint
+    places = design.joint.names.index
+    correlation = design.joint.correlation
     covariance = np.eye(len(limits))
     names = [strength_name(limit.name) for limit in limits]
-    random = [k for k, name in enumerate(names) if name in joint.names]
-    if joint.correlation is None or len(random) < 2:
+    random = [k for k, name in enumerate(names) if name in design.joint.names]
+    if correlation is None or len(random) < 2:
         return covariance
-    at = [joint.names.index(names[k]) for k in random]
-    drawn = [joint.names.index(name) for name in design.drawn.names]
-    among = joint.correlation[np.ix_(at, at)]
-    across = joint.correlation[np.ix_(drawn, at)]
-    within = joint.correlation[np.ix_(drawn, drawn)]
-    covariance[np.ix_(random, random)] = among - across.T @ np.linalg.solve(within, across)
+    at = [places(names[k]) for k in random]
+    drawn = [*map(places, design.drawn.names)]
+    across = correlation[np.ix_(drawn, at)]
+    explained = across.T @ np.linalg.solve(correlation[np.ix_(drawn, drawn)], across)
+    covariance[np.ix_(random, random)] = correlation[np.ix_(at, at)] - explained
     return residual_correlation(covariance)

@@ -20,7 +20,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.chaos import MOST_LEFT, values_at
 from uqsphere.propagation.demands import strength_of, with_test_forces
 from uqsphere.propagation.design import Design, at_normals, by_force, is_strength, number
-from uqsphere.propagation.limits import failure, state_of
+from uqsphere.propagation.limits import failure, sign_of, state_of
 from uqsphere.propagation.tables import Searched, Tables, evaluate
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
@@ -104,7 +104,7 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
     if not design.drawn.names:
         return []
     required = design.study.analysis.accuracy.probability
-    waiting: list[tuple[float, float, int, Limit]] = []
+    waiting = []
     for limit in design.limits:
         estimate = failure(design, tables, limit)
         if is_negligible(estimate, limit):
@@ -119,14 +119,9 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
             waits = is_left_to_search(design, estimate) or out_of_reach
         if waits:
             # those that no row of the sample fails: by how far their strength is out
-            rank = number(strength_of(limit)) * _sign(limit)
-            waiting.append((-(estimate.value or 0.0), rank, len(waiting), limit))
-    return [limit for *_, limit in sorted(waiting)]
-
-
-def _sign(limit: Limit) -> float:
-    """-1 for a limit that must break, else 1."""
-    return -1.0 if limit.aim == "break" else 1.0
+            rank = -(estimate.value or 0.0), number(strength_of(limit)) * sign_of(limit)
+            waiting.append((rank, limit))
+    return [limit for _, limit in sorted(waiting, key=lambda entry: entry[0])]
 
 
 def design_points(design: Design, tables: Tables) -> Rows:
@@ -173,7 +168,7 @@ def _problem(
     Where failure hangs on the quantity alone, its values are the answers: draws for one limit then
     serve another.
     """
-    sign = _sign(limit)
+    sign = sign_of(limit)
 
     def left(state: LimitState) -> Array:
         if isinstance(state.strength, Law):
@@ -225,7 +220,7 @@ def _physical(
     law = strength_of(limit)
     if isinstance(law, Law):
         # failure is z below the score of the demand: the strength there
-        z = np.full((1, 1), _sign(limit) * point[size])
+        z = np.full((1, 1), sign_of(limit) * point[size])
         score = state_of(design, limit, sample).score_drawn(z)
-        values[strength_name(limit.name)] = float(law.from_normal(score)[0, 0])
+        values[strength_name(limit.name)] = law.from_normal(score)[0, 0]
     return values

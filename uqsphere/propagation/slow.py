@@ -96,7 +96,6 @@ class Slow:
                 return sampled
             return replace(sampled, high=max(sampled.high, count_bound(self.rows.size)))
         place = predicted.quantities.index(column)
-        table = predicted
 
         def moved(sample: Sample, values: Array) -> Array:
             answers = sample.answers.copy()
@@ -105,8 +104,8 @@ class Slow:
 
         return corrected.probability(
             rows=chance(self.rows)[0],
-            left_out=moved(self.rows, self.responses[column].levels)[0],
-            table=lambda residual: moved(table, table.answers[:, :, place] + residual),
+            left_out=moved(self.rows, corrected.response.levels)[0],
+            table=lambda residual: moved(predicted, corrected.table + residual),
         )
 
     def index_method(self, name: str) -> IndexMethod:

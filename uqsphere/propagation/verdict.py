@@ -41,7 +41,7 @@ class Judged:
     plan, line : at the plan, and along the free number; None without one
     probability : failure probability at the plan by limit: by the study's own limits; of a failure
         mode by itself
-    all_modes : the same by all failure modes; empty where there are no others
+    all_modes : the same of the limits by everything that is judged
     """
 
     settling: Settling
@@ -74,10 +74,6 @@ class Judged:
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""
         return next((d.margin for d in self.settled.doubts if d.key == doubt.key), None)
-
-    def at_plan(self, limit: Limit) -> Estimate:
-        """The failure probability at the plan by everything that is judged."""
-        return (self.all_modes or self.probability)[limit.name]
 
 
 def judge(
@@ -116,7 +112,7 @@ def judge(
                 plan=plan,
                 line=settled,
                 probability=probability,
-                all_modes=_at_plan(tables, plan) if aim.modes else {},
+                all_modes=_at_plan(tables, plan),
             )
         )
     return judged, tables
@@ -204,7 +200,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
             target = governing.limit.target
     else:
         subject = aim.design.subject(lead)
-    if judged.all_modes:
+    if aim.modes:
         all_modes = _range(judged.all_modes[lead.name])
     return types.Decision(
         aim=aim.word,
@@ -339,7 +335,7 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
     code = doubt.code
     option = doubt.detail
     if code == "computation":
-        at_plan = judged.at_plan(limit).high or at_plan
+        at_plan = judged.all_modes[limit.name].high or at_plan
         # tests that are carried over in another way than by the limit that counts as fracture
         if any(limit in group[1:] for group in aim.groups):
             code = "carrier"
@@ -375,7 +371,7 @@ def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWo
     if all(kept):
         # an effect on the unsafe side that nobody put a number on holds only what is met
         return "not established" if caveats else "met"
-    met = [target_met(judged.at_plan(limit), limit.target) for limit in limits]
+    met = [target_met(judged.all_modes[limit.name], limit.target) for limit in limits]
     if False in met and not any(kept):
         return "not met"
     return "undecided"
@@ -393,7 +389,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
             return planned >= margin
         return planned <= margin
     if doubt.code == "computation":
-        return target_met(judged.at_plan(limit), limit.target) is True
+        return target_met(judged.all_modes[limit.name], limit.target) is True
     return bool(judged.aim.keeps(doubt.curve[0], limit))
 
 
