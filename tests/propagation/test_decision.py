@@ -451,11 +451,12 @@ def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
     monkeypatch: pytest.MonkeyPatch, kept: bool, codes: list[CaveatCode], verdict: str
 ) -> None:
     monkeypatch.setattr(verdicts, "_keeps", lambda judged, doubt: kept)
-    limit = SimpleNamespace(has_target=True, target=0.1)
+    limit = SimpleNamespace(name="whole", has_target=True, target=0.1)
+    missed = Estimate(value=0.5, low=0.4, high=0.6, method="", evaluations=1)
     judged: Any = SimpleNamespace(
         aim=SimpleNamespace(limits=[limit]),
         plan=SimpleNamespace(doubts=["tests"]),
-        at_plan=lambda limit: Estimate(value=0.5, low=0.4, high=0.6, method="", evaluations=1),
+        all_modes={"whole": missed},
     )
     caveats = [Caveat(code=code, subject="limits.whole.strength") for code in codes]
     assert verdicts._verdict(judged, caveats) == verdict

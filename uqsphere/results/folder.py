@@ -54,7 +54,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises FolderError where it is no result folder or another run has it, AccessError where the
         system refuses.
     """
-    try:
+    with _granted(folder):
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         folder.mkdir(parents=True, exist_ok=True)
@@ -69,11 +69,10 @@ def locked(folder: Path) -> Iterator[None]:
                 "another directory with --out"
             )
         lock = FileLock(folder / ".lock", timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise FolderError(f"{as_text(folder)} is in use by another run") from None
-    except OSError as error:
-        raise AccessError(f"{as_text(folder)}: {error.strerror or error}") from error
+        try:
+            lock.acquire()
+        except Timeout:
+            raise FolderError(f"{as_text(folder)} is in use by another run") from None
     try:
         for left in folder.glob(f"{PART}*"):  # of a run that was killed
             shutil.rmtree(left, ignore_errors=True)
