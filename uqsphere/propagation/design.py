@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -53,16 +52,20 @@ class Design:
         """The design of a study, with its failure modes that a model of the sphere can answer."""
         assumed, not_judged = failure_modes_of(study)
         wide = with_modes(study, assumed)
-        reasons = {mode.called: absent_quantity(wide, mode.limit.quantity) for mode in assumed}
-        not_judged |= {name: reason for name, reason in reasons.items() if reason}
-        answered = [mode for mode in assumed if not reasons[mode.called]]
+        answered = []
+        for mode in assumed:
+            reason = absent_quantity(wide, mode.limit.quantity)
+            if reason:
+                not_judged[mode.called] = reason
+            else:
+                answered.append(mode)
         evidence, modes = judged_by_tests(study, answered)
-        not_judged |= {
-            entry.mode: f"refuted by your {entry.tests} tests: spheres bore more than this "
-            "strength allows"
-            for entry in evidence
-            if entry.refuted
-        }
+        for entry in evidence:
+            if entry.refuted:
+                not_judged[entry.mode] = (
+                    f"refuted by your {entry.tests} tests: spheres bore more than this strength "
+                    "allows"
+                )
         return cls(study=study, modes=modes, not_judged=not_judged, evidence=evidence)
 
     @cached_property
@@ -123,8 +126,8 @@ class Design:
     def explained(self) -> tuple[str, ...]:
         """Those with indices: not what is held against a force of tests, where E and nu cancel."""
         held = {limit.quantity for limit in self.limits if by_force(limit)}
-        asked = self.study.analysis.quantities
-        return tuple(name for name in self.described if name in asked or name not in held)
+        held -= {*self.study.analysis.quantities}
+        return tuple(name for name in self.described if name not in held)
 
     @cached_property
     def fracture(self) -> tuple[Limit, ...]:
@@ -132,7 +135,7 @@ class Design:
         return tuple(limit for limit in self.limits if means_fracture(limit))
 
     @property
-    def on_failure(self) -> Literal["bound", "drop"]:
+    def on_failure(self) -> str:
         """What becomes of failed rows, as the estimates take it."""
         if self.study.analysis.policy == "bound":
             return "bound"

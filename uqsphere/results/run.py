@@ -42,7 +42,7 @@ class Run:
     folder: Path | None = None
     columns: dict[str, Array | Flags] | None = None
     study: Study | None = None
-    pairs_of: Callable[[str], Any] | None = None
+    pairs_of: Callable[[str], Any] = lambda quantity: None
 
     def __repr__(self) -> str:
         results = self.results
@@ -156,9 +156,7 @@ class Run:
         Raises UsageError where there are none: the indices are those of the expansion, or the run
         was read from a folder.
         """
-        made = None
-        if self.pairs_of is not None:
-            made = self.pairs_of(quantity)
+        made = self.pairs_of(quantity)
         if made is None:
             raise UsageError(
                 f"no pairs of runs of {quantity!r}: "
@@ -195,8 +193,7 @@ class Run:
         rows = rows[rows["at"] == at]
         if rows.empty:
             raise UsageError(f"the run has no {answer} of {limit!r} at {at!r}")
-        ends = ["low", "high", "low_unseen", "high_unseen"]
-        return rows.iloc[0][["value", *ends, "method", "note"]]
+        return rows.iloc[0][["value", "low", "high", "low_unseen", "high_unseen", "method", "note"]]
 
 
 def stored_study(folder: Path, results: Results) -> Study:
