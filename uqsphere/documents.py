@@ -203,7 +203,7 @@ def _parts(text: str) -> tuple[str, ...]:
     )
 
 
-def located(text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()) -> list[Problem]:
+def located(text: str, faults: Iterable[Fault], overridden: Sequence[Place]) -> list[Problem]:
     """Each fault with the line of its place in a text, or of the nearest table above it."""
     lines = lines_of(text)
     problems = []

@@ -26,14 +26,14 @@ def lookup(name: str) -> Quantity:
     return replace(entry or plain_quantity(name), name=name)
 
 
-def plain_quantity(name: str, meaning: str = "", lower: float = -math.inf) -> Quantity:
+def plain_quantity(name: str) -> Quantity:
     """The entry of a number without unit, for example a black-box input."""
     return Quantity(
         name=name,
         symbol=name,
         dimension="number",
-        lower=lower,
-        meaning=meaning or name,
+        lower=-math.inf,
+        meaning=name,
         plausible=(-math.inf, math.inf),
     )
 
@@ -84,10 +84,10 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     return f"{scaled:.{max(digits, before)}g} {unit}".rstrip()
 
 
-def format_together(values: Sequence[float], name: str, digits: int = 3) -> list[str]:
+def format_together(values: Sequence[float], name: str) -> list[str]:
     """Texts of several values [SI] of the named quantity, in one unit and with as many decimals.
 
-    The largest has `digits` significant digits, the smallest and the range at least two.
+    The largest has three significant digits, the smallest and the range at least two.
 
     >>> format_together([2.6e9, 2.689e9, 2.78e9], "p_max"), format_together([0.081, 2.5], "fall")
     (['2.60 GPa', '2.69 GPa', '2.78 GPa'], ['0.081', '2.500'])
@@ -101,9 +101,9 @@ def format_together(values: Sequence[float], name: str, digits: int = 3) -> list
         -math.floor(math.log10(size * factor)) for size in (max(sizes), min(sizes), span)
     )
     # of ends that are close, one digit more at most
-    decimals = max(first + digits - 1, smallest + 1, min(spanned + 1, first + digits), 0)
+    decimals = max(first + 2, smallest + 1, min(spanned + 1, first + 3), 0)
     if decimals > 6:
-        return [format_value(value, name, digits) for value in values]
+        return [format_value(value, name, 3) for value in values]
     return [f"{value * factor:.{decimals}f} {unit}".rstrip() for value in values]
 
 

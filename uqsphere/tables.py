@@ -418,7 +418,7 @@ class Table:
     def flags(
         self,
         column: str,
-        key: str = "",
+        key: str,
         words: Mapping[str, bool] = WORDS["flags"],
         meant: str = "0 or 1",
     ) -> Flags:

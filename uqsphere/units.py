@@ -246,7 +246,7 @@ def bare_number(value: float) -> str:
 _LARGEST_SHOWN = 10**60
 
 
-def shown(value: object, longest: int = 60) -> str:
+def shown(value: object) -> str:
     """A value of a file as its message shows it."""
     if isinstance(value, Mapping):
         return "a table"
@@ -259,7 +259,7 @@ def shown(value: object, longest: int = 60) -> str:
     if isinstance(value, int | float):
         return bare_number(value)
     if isinstance(value, str):
-        return json.dumps(as_text(value, longest), ensure_ascii=False)
+        return json.dumps(as_text(value, 60), ensure_ascii=False)
     return f"a {type(value).__name__}"
 
 

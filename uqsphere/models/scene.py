@@ -186,8 +186,6 @@ def check_scene(study: Study) -> None:
     and the reason."""
     from uqsphere.mechanics.scene import STATUS
 
-    if study.black_box:
-        return
     margins = study.margins
     if margins is not None and margins.solve in INPUTS:
         for value in margins.between:

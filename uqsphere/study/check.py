@@ -438,7 +438,7 @@ def _scene(draft: Draft) -> Faults:
 def _pulse(draft: Draft) -> Faults:
     """Whether the bars cover the sphere, and the pulse is over before it comes back."""
     scene = draft.scene
-    shape = str(draft.options.get("pulse.shape"))
+    shape = draft.options.get("pulse.shape", "")
     if scene is None or not scene.by_wave:
         return
     across = 2.0 * draft.mean("sphere.radius")

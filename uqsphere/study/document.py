@@ -25,6 +25,7 @@ from pydantic import (
 from pydantic import model_validator as checked
 
 from uqsphere.documents import Fault, Place, TomlTable, table_in
+from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
@@ -507,7 +508,7 @@ class Draft:
     box: bool = False
     plastic: bool = False
     numbers: dict[str, Number] = field(default_factory=dict)
-    options: dict[str, str | bool | int] = field(default_factory=dict)
+    options: dict[str, Json] = field(default_factory=dict)
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Property] = field(default_factory=dict)
     record: MeasuredPulse | None = None

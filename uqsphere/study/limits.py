@@ -22,7 +22,7 @@ from uqsphere.study.document import Draft, LimitTable
 from uqsphere.study.study import DEFAULT_TARGET, Limit
 from uqsphere.study.values import Number, Observations, Tested, number_of, value_of
 from uqsphere.tables import Table
-from uqsphere.units import UNITS, shown
+from uqsphere.units import UNITS, Quantity, shown
 from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
 
@@ -61,7 +61,13 @@ _TENSION, _FAR = (2e5, 5e8), 20.0
 _LENGTHS, _FORCES = ("um", "mm", "cm", "m"), ("N", "kN", "MN")
 #: 0.9 P/D² of a test over the median, or the other way round, above which its unit is asked about
 _SLIP = 300.0
-_FACTOR = replace(plain_quantity("model_factor", "the model factor", 0.0), plausible=(0.5, 2.0))
+_FACTOR = Quantity(
+    name="model_factor",
+    symbol="",
+    dimension="number",
+    meaning="the model factor",
+    plausible=(0.5, 2.0),
+)
 
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:

@@ -2,8 +2,6 @@
 SI.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -11,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import BaseModel
 
@@ -144,7 +142,7 @@ class Study:
     black_box: bool
     fixed: Mapping[str, float]
     random: Mapping[str, Law]
-    options: Mapping[str, str | bool | int]
+    options: Mapping[str, Json]
     materials: Mapping[str, str]
     sources: Mapping[str, Property]
     model: ModelChoice
@@ -214,7 +212,7 @@ class Study:
         )
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def changed_keys(self, other: Study) -> list[str]:
+    def changed_keys(self, other: Self) -> list[str]:
         """The dotted keys whose meaning differs in another study; those that leave the hash alone
         are not among them.
 
@@ -289,11 +287,10 @@ def _keys(meaning: Mapping[str, Json]) -> dict[str, Json]:
     """
     keys: dict[str, Json] = {}
     for table, content in meaning.items():
-        if table in ("fixed", "random", "options") and isinstance(content, dict):
+        if table in ("fixed", "random", "options"):
             keys |= content
-        elif table == "limits" and isinstance(content, list):
+        elif table == "limits":
             for limit in content:
-                assert isinstance(limit, dict)
                 keys |= {
                     f"limits.{limit['name']}.{key}": value
                     for key, value in limit.items()
@@ -337,27 +334,27 @@ def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -
 
 def scene_with(
     columns: Mapping[str, Array],
-    options: Mapping[str, str | bool | int],
+    options: Mapping[str, Json],
     model: ModelChoice,
     *,
     record: MeasuredPulse | None,
     demands: Mapping[str, tuple[str, Mapping[str, float]]] | None = None,
-) -> Scene:
+) -> "Scene":
     """The scenes of some columns (n,) under the words of a study; raises ValueError as `Scene`."""
     from uqsphere.mechanics.scene import Scene
 
     return Scene(
         columns=columns,
-        rig=str(options.get("rig.kind", DEFAULT_RIG)),
-        options={name: str(word) for name, word in options.items()},
-        shape=str(options.get("pulse.shape", "rectangular")),
-        infinite=bool(options.get("bars.infinite")),
-        rigid_contact=bool(options.get("bars.rigid_contact")),
+        rig=options.get("rig.kind", DEFAULT_RIG),
+        options=options,
+        shape=options.get("pulse.shape", "rectangular"),
+        infinite=options.get("bars.infinite", False),
+        rigid_contact=options.get("bars.rigid_contact", False),
         first_loading_only=model.first_loading_only,
         whole_record=model.whole_record,
         horizon=model.horizon,
         demands=demands or {},
-        contact_law=str(options.get("contact.law", "hertz")),
+        contact_law=options.get("contact.law", "hertz"),
         hardness_at_onset=options.get("contact.hardness") == "onset",
         record=record,
     )
