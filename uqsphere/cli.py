@@ -399,7 +399,6 @@ def _new(options: Namespace) -> None:
     uqsphere new granite
     uqsphere new ishigami -o mine.toml
     """
-
     from uqsphere.documents import suggestion
 
     shipped = _templates()
@@ -459,6 +458,26 @@ def _exit_code(runs: Iterable[Any]) -> int:
     return NOT_MET if missed else 0
 
 
+def _computed(
+    options: Namespace, study: Any, folder: Path, stop: Callable[[], bool], **further: Any
+) -> Any:
+    """The run of a study, with its progress on stderr."""
+    from uqsphere.propagation import run
+    from uqsphere.propagation.progress import watched
+
+    with watched(lines=True) as progress:
+        return run(
+            study,
+            options.model,
+            out=folder,
+            threads=options.processes,
+            seconds=_budget(options),
+            progress=progress,
+            stop=stop,
+            **further,
+        )
+
+
 def _run(options: Namespace) -> int:
     """Run a study; write its results and its report.
 
@@ -468,29 +487,15 @@ def _run(options: Namespace) -> int:
     uqsphere run ishigami.toml --model ishigami.py:ishigami --dask tcp://head:8786
     """
 
-    from uqsphere.propagation import run
-    from uqsphere.propagation.progress import watched
-
     study = _loaded(options)
-    seconds = _budget(options)
     folder = _folder(options, "results")
     if options.dask is not None and not study.black_box:
         raise UsageError(
             "run --dask distributes the model runs of a black box; the impact model runs in this "
             "process, on the threads of -j. A sweep distributes its points"
         )
-    with _cluster(options) as client, _interruptible() as stop, watched(lines=True) as progress:
-        finished = run(
-            study,
-            options.model,
-            out=folder,
-            executor=client,
-            threads=options.processes,
-            seconds=seconds,
-            progress=progress,
-            stop=stop,
-            fresh=options.fresh,
-        )
+    with _cluster(options) as client, _interruptible() as stop:
+        finished = _computed(options, study, folder, stop, executor=client, fresh=options.fresh)
     if options.json:
         print(finished.results.to_json(), end="")
     else:
@@ -556,25 +561,13 @@ def _points_here(
     options: Namespace, sweep: Any, waiting: Sequence[Any], stop: Callable[[], bool]
 ) -> Iterator[Any]:
     """Points of a sweep as they are run, one after the other, in this process."""
-    from uqsphere.propagation import run
-    from uqsphere.propagation.progress import watched
-
     for point in waiting:
         if stop():
             return
         values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
         number = sweep.points.index(point) + 1
         print(f"point {number} of {len(sweep.points)}: {values}", file=sys.stderr)
-        with watched(lines=True) as progress:
-            run(
-                point.study,
-                options.model,
-                out=sweep.folder / point.name,
-                threads=options.processes,
-                seconds=_budget(options),
-                progress=progress,
-                stop=stop,
-            )
+        _computed(options, point.study, sweep.folder / point.name, stop)
         yield point
 
 
