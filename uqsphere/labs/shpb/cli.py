@@ -29,7 +29,6 @@ def _records(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.waves import read_test
 
     several = len(chosen.file) > 1
-    refused = 0
     lines = list[tuple[str, ...]]()
     texts = []
     files = dict[str, str]()
@@ -41,7 +40,6 @@ def _records(chosen: argparse.Namespace) -> int:
         except UsageError as error:
             if not several:
                 raise
-            refused += 1
             lines.append((path.stem, "", "", "", "", f"refused: {error}"))
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
@@ -65,7 +63,7 @@ def _records(chosen: argparse.Namespace) -> int:
         files["tests.csv"] = csv_text(lines, head)
         content = {"tests": contents}
     finish(chosen, content, "\n\n".join(texts), files)
-    return 2 if refused == len(chosen.file) else 0
+    return 2 if all("refused" in content for content in contents) else 0
 
 
 def _fit_contact(chosen: argparse.Namespace) -> None:

@@ -167,20 +167,17 @@ class RecordDocument(Section):
         """Complete the receiving bar by the incident one, and materials by their numbers."""
         if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
             return data
-        incident = data["incident_bar"]
-        given = data.get("receiving_bar", {})
-        shared = from_library(
-            {key: value for key, value in incident.items() if key != "gauge"}, "bars"
-        )
-        receiving = {**shared, **from_library(given, "bars")} if isinstance(given, dict) else given
-        return {**data, "incident_bar": from_library(incident, "bars"), "receiving_bar": receiving}
+        incident = from_library(data["incident_bar"], "bars")
+        receiving = from_library(data.get("receiving_bar", {}), "bars")
+        if isinstance(receiving, dict):
+            shared = {key: value for key, value in incident.items() if key != "gauge"}
+            receiving = {**shared, **receiving}
+        return {**data, "incident_bar": incident, "receiving_bar": receiving}
 
     @model_validator(mode="after")
     def _whole(self) -> RecordDocument:
-        for name, bar in (
-            ("incident_bar", self.incident_bar),
-            ("receiving_bar", self.receiving_bar),
-        ):
+        for name in ("incident_bar", "receiving_bar"):
+            bar = getattr(self, name)
             if bar.length is not None and bar.gauge > bar.length:
                 raise ValueError(
                     f"{name}.gauge must be on the bar of {bar.length:g} m, not at {bar.gauge:g} m"

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from uqsphere.arrays import Array
 from uqsphere.labs.shpb.mending import Signal
@@ -130,13 +131,10 @@ def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float
     difference = step**2 * np.cumsum(np.cumsum(force_a - force_b))
     columns = np.stack([way, -approaches, impulses], axis=1)
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    fitted = np.linalg.lstsq(columns / scale, difference, rcond=None)[0] / scale
-    mass = min(max(fitted[0], 0.0), heaviest)
-    # the other two given this mass
-    rest = difference - mass * way
-    others = columns[:, 1:] / scale[1:]
-    stiffness, gain = np.linalg.lstsq(others, rest, rcond=None)[0] / scale[1:]
-    misfit = np.abs(rest + stiffness * approaches - gain * impulses).max() / np.abs(impulses).max()
+    bounds = ([0.0, -np.inf, -np.inf], [heaviest * scale[0], np.inf, np.inf])
+    fitted = lsq_linear(columns / scale, difference, bounds, method="bvls").x / scale
+    mass, _, gain = fitted
+    misfit = np.abs(difference - columns @ fitted).max() / np.abs(impulses).max()
     # no specimen moves faster than a ball that the faster face hits
     momentum = np.abs(step * np.cumsum(force_a - (1.0 + gain) * force_b)).max()
     fastest = 2.0 * np.maximum(np.abs(velocity_a), np.abs(velocity_b)).max()

@@ -184,7 +184,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
 
 def _runs(same: Flags) -> tuple[Places, Places]:
     """First places and lengths of the runs of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(np.diff(same, prepend=False, append=False))
     return edges[::2], edges[1::2] - edges[::2]
 
 
@@ -312,7 +312,7 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
     bounds = np.maximum(_ODD * (_ROBUST * scatter), _SPIKE_SHARE * peak)
     near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
     spikes = []
-    for first, length in np.transpose(_runs(binary_closing(near, np.ones(3, dtype=bool)))).tolist():
+    for first, length in zip(*_runs(binary_closing(near)), strict=True):
         last = first + length - 1
         if first < 1 or last > len(left) - 2:
             continue
