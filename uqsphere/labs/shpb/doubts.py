@@ -4,8 +4,6 @@ Every check doubts the peaks that it concerns, and widens their intervals to wha
 """
 
 import math
-from typing import NamedTuple
-
 import numpy as np
 from scipy.optimize import lsq_linear
 
@@ -24,19 +22,6 @@ _STRUCK, _SPEED_ERROR = (0.1, 100.0), 0.1
 EQUILIBRIUM = 0.05
 #: misfit of inertia and gain beyond which they do not explain the forces
 _MISFIT = 0.05
-
-
-class Faces(NamedTuple):
-    """Both forces (n,) [N] over time (n,) [s]; `force_a` is NaN where it is not known.
-
-    velocity_a, velocity_b : of the faces of the bars (n,) [m/s].
-    """
-
-    time: Array
-    force_a: Array
-    force_b: Array
-    velocity_a: Array
-    velocity_b: Array
 
 
 def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> None:
@@ -61,13 +46,14 @@ def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> Non
             peaks.doubt([face], text, peak.low * measured / speed, peak.high * measured / speed)
 
 
-def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: float) -> None:
+def check_bending(peaks: Peaks, face: str, spread: Array, step: float, wave: float) -> None:
     """Compare the gauges of the bar of a face (in place).
 
-    spread (n,) : half their difference [N]; wave : force of the wave that they record [N].
+    spread (n,) : half their difference [N] at steps [s]; wave : force of the wave that they record
+    [N].
     """
     peak = peaks[face]
-    at = np.searchsorted(time, peak.time)
+    at = round(peak.time / step)
     bending = spread[max(at - 3, 0) : at + 4].mean()
     if 2.0 * bending > _GROSS * wave:
         bar = "incident" if face == "A" else "receiving"
@@ -76,7 +62,7 @@ def check_bending(peaks: Peaks, face: str, spread: Array, time: Array, wave: flo
 
 
 def check_impulse(
-    peaks: Peaks, faces: Faces, gains_sd: float, zeros_sd: float, heaviest: float
+    peaks: Peaks, motion: Array, step: float, gains_sd: float, zeros_sd: float, heaviest: float
 ) -> float | None:
     """Compare the impulses of both faces until B falls to half its largest force (in place).
 
@@ -86,26 +72,25 @@ def check_impulse(
     least squares from this equation, integrated twice over time.  Impulses that differ by more than
     the gains, with and without a mass up to `heaviest` [kg], are a doubt.
 
+    motion (4, n) : forces at A and B [N], A being NaN where it is not known, and velocities of the
+        faces of both bars [m/s], at steps [s].
     gains_sd, zeros_sd : sums over both faces of the relative standard deviations of the gains, and
         of the standard deviations of the zeros [N].
 
     Returns the mass [kg] whose inertia explains the difference, None if none does.
     """
     largest = peaks["B"]
-    at = int(np.searchsorted(faces.time, largest.time))
-    first, last = stretch(faces.force_b, 0.5 * largest.value, at)
+    first, last = stretch(motion[1], 0.5 * largest.value, round(largest.time / step))
     if last - first <= 2:
         return None
-    force_a = faces.force_a[first:last]
-    force_b = faces.force_b[first:last]
+    force_a, force_b = motion[:2, first:last]
     known = np.isfinite(force_a)
     plain = force_a[known].sum() / max(force_b[known].sum(), 1e-300) - 1.0
     allowed = NORMAL * (gains_sd + zeros_sd / largest.value)
     gains = [plain]
-    if "A" in peaks:
-        last = max(last, int(np.searchsorted(faces.time, peaks["A"].time)) + 1)
-    if np.isfinite(faces.force_a[:last]).all():
-        mass, gain, misfit = _fit_inertia(faces, last, heaviest)
+    last = max(last, round(peaks["A"].time / step) + 1)
+    if np.isfinite(motion[0, :last]).all():
+        mass, gain, misfit = _fit_inertia(motion[:, :last], step, heaviest)
         if misfit <= _MISFIT:
             gains.append(gain)
             if abs(gain) <= allowed:
@@ -120,10 +105,9 @@ def check_impulse(
     return None
 
 
-def _fit_inertia(faces: Faces, last: int, heaviest: float) -> tuple[float, float, float]:
+def _fit_inertia(motion: Array, step: float, heaviest: float) -> tuple[float, float, float]:
     """Mass [kg], relative error of gain, and largest misfit over the largest integral of B."""
-    step = faces.time[1] - faces.time[0]
-    force_a, force_b, velocity_a, velocity_b = (column[:last] for column in faces[1:])
+    force_a, force_b, velocity_a, velocity_b = motion
     way = step * np.cumsum(0.5 * (velocity_a + velocity_b))
     approaches = np.cbrt(np.square(np.maximum(force_a, 0.0)))
     approaches -= np.cbrt(np.square(np.maximum(force_b, 0.0)))

@@ -434,7 +434,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
             drift,
             name,
         )
-    spread = np.zeros(len(values))
+    spread = np.zeros_like(values)
     return Signal(*trace._replace(strain=strain), noise, offset, spread, wave, memory)
 
 
@@ -446,7 +446,7 @@ def _cut_out(trace: Trace) -> Signal:
     wave = _first_wave(trace, values, noise)
     text = f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero"
     trace.changes.add("baseline", text, start, trace.name)
-    spread = np.zeros(len(values))
+    spread = np.zeros_like(values)
     return Signal(*trace._replace(strain=values), noise, 0.01 * wave.peak, spread, wave)
 
 

@@ -24,7 +24,6 @@ from uqsphere.errors import UsageError
 from uqsphere.labs.shpb.arrivals import Arrivals, find_arrivals
 from uqsphere.labs.shpb.doubts import (
     EQUILIBRIUM,
-    Faces,
     check_bending,
     check_impulse,
     check_specimen,
@@ -146,17 +145,12 @@ def read_test(record: Record) -> Reading:
         force_a[window.apart] = face_a.force[window.apart]
         forces = {"A": face_a._replace(force=force_a), "B": face_b}
         peaks.doubt("A", arrivals.doubt_b)
-        faces = Faces(
-            time=face_b.time,
-            force_a=force_a,
-            force_b=force,
-            velocity_a=bar.wave_speed * (reflected - incident),
-            velocity_b=-behind.wave_speed * transmitted,
-        )
+        velocity_a = bar.wave_speed * (reflected - incident)
+        motion = np.array([force_a, force, velocity_a, -behind.wave_speed * transmitted])
         zeros_sd = bar.stiffness * (before.offset + record.reflected.offset)
         zeros_sd += behind.stiffness * receiving.offset
         heaviest = record.document.specimen.heaviest(min(bar.diameter, behind.diameter))
-        mass = check_impulse(peaks, faces, bar.gain_sd + gain_b, zeros_sd, heaviest)
+        mass = check_impulse(peaks, motion, step, bar.gain_sd + gain_b, zeros_sd, heaviest)
         if window.whole:
             carried = bar.stiffness * bar.wave_speed * step
             offered, returned = carried * np.square([incident, reflected]).sum(axis=1)
@@ -177,8 +171,8 @@ def read_test(record: Record) -> Reading:
     check_striker(peaks, before, asked.striker_speed)
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
     notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
-    _check_gauges(peaks, record, window, face_b.time)
-    balanced, rate = _balance(forces, peaks["B"])
+    _check_gauges(peaks, record, window)
+    balanced, rate = _balance(forces, peaks["B"], step)
     touch = record.start + step * window.start
     if not asked.aligned:
         touch += bar.passage
@@ -367,8 +361,7 @@ def _near_face(
     peaks["A"] = largest_force(face_a.part(window.apart))
     peaks["mean"] = largest_force(mean.part(window.apart))
     begin = window.apart.start
-    edge = face_a.time[min(begin + before.wave.lead, count - 1)]
-    if begin > 0 and peaks["A"].time < edge:
+    if begin > 0 and peaks["A"].time < before.step * (begin + before.wave.lead):
         peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
     peaks.doubt("A", doubt)
     return face_a, incident, reflected
@@ -377,13 +370,14 @@ def _near_face(
 # --- checks, equilibrium, pulse -------------------------------------------------------------------
 
 
-def _check_gauges(peaks: Peaks, record: Record, window: _Window, time: Array) -> None:
+def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
     """Compare the gauges of each bar; the mean takes the doubts of both faces (in place)."""
     count = window.length
     incident = record.incident
     receiving = record.receiving
+    step = incident.step
     spread = _samples(receiving.spread, window.to_b, count)
-    check_bending(peaks, "B", receiving.bar.stiffness * spread, time, peaks["B"].value)
+    check_bending(peaks, "B", receiving.bar.stiffness * spread, step, peaks["B"].value)
     if window.withheld:
         peaks.doubt("B", "the force at A is not known: it does not check gauge and gain of B")
         return
@@ -392,20 +386,19 @@ def _check_gauges(peaks: Peaks, record: Record, window: _Window, time: Array) ->
         _samples(record.reflected.spread, window.to_a, count),
     )
     stiffness = incident.bar.stiffness
-    check_bending(peaks, "A", stiffness * spread, time, stiffness * incident.wave.peak)
+    check_bending(peaks, "A", stiffness * spread, step, stiffness * incident.wave.peak)
     for text in (*peaks["A"].doubts, *peaks["B"].doubts):
         if text not in peaks["mean"].doubts:
             peaks.doubt(["mean"], text)
 
 
-def _balance(forces: dict[str, Force], peak: Peak) -> tuple[float | None, float]:
+def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float | None, float]:
     """Share of the rise in which the forces agree within 5 % of their mean, and loading rate
     [N/s]."""
-    time = forces["B"].time
     smooth_b = smooth(forces["B"].force, 5)
-    top = max(int(np.searchsorted(time, peak.time)), 3)
+    top = max(round(peak.time / step), 3)
     half = min(int(np.argmax(smooth_b > 0.5 * peak.value)), top - 2)
-    rate = 0.5 * peak.value / (time[top] - time[half])
+    rate = 0.5 * peak.value / (step * (top - half))
     if "A" not in forces or np.isnan(forces["A"].force).any():
         return None, rate
     smooth_a = smooth(forces["A"].force, 5)
