@@ -80,7 +80,7 @@ def particle_energies(
     share = laws.particle_share(stiffness(material), stiffness(want.partner))
     shares = np.full(len(energy), share)
     if meaning == "input":
-        positive = np.isfinite(energy) & (energy > 0.0) & (diameter > 0.0)
+        positive = (energy > 0.0) & (diameter > 0.0)
         for falling in (True, False):
             rows = positive & ((rig == "drop_weight") == falling)
             if rows.any():

@@ -48,8 +48,7 @@ SYNTHETIC = "the tests are synthetic data: the numbers describe no real rock"
 _GAMMAS = np.linspace(math.log(0.5), math.log(50.0), 93)
 
 
-@dataclass(frozen=True, kw_only=True)
-class EnergyModel:
+class EnergyModel(NamedTuple):
     """The parameters of one law by the names of their logarithms, with their priors (mean, sd)."""
 
     law: str
@@ -218,7 +217,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     Tests of one size have a flat prior of the scatter, which makes the intervals exact.
     """
     want = asked.tests
-    sizes = tests.sizes
+    sizes = (*tests.sizes,)
     shape = laws.LAWS[law]
     several = len(sizes) > 1
     size = want.size
@@ -311,18 +310,12 @@ def sample(
 # --- the fit --------------------------------------------------------------------------------------
 
 
-def _at_size(tests: Specimens, size: float) -> Flags:
-    """The specimens of one size."""
-    return np.asarray(np.abs(np.log(tests.diameter / size)) < 0.006)
-
-
 def _shows_scatter(tests: Specimens) -> bool:
     """Whether a particle was hit again, two gave their own energies, or one survived more than
     broke another of its size."""
     if tests.repeated.any() or len(np.unique(tests.last[tests.exact])) > 1:
         return True
-    for size in tests.sizes:
-        near = _at_size(tests, size)
+    for near in tests.sizes.values():
         survived = tests.last[near & ~tests.broke]
         broken = tests.last[near & tests.broke]
         if survived.max(initial=0.0) >= broken.min(initial=np.inf):
@@ -429,16 +422,15 @@ def _described(
     if want.synthetic:
         warnings.append(SYNTHETIC)
     sizes = []
-    for size in tests.sizes[:_MOST_SIZES]:
-        near = _at_size(tests, size)
+    for size, near in [*tests.sizes.items()][:_MOST_SIZES]:
         sizes.append(
             {
                 "diameter": size,
                 "tests": int(tests.weight[near].sum()),
                 "broke": int(tests.weight[near & tests.broke].sum()),
-                "breaks_half": quantiles(posterior.energy_at(0.5, size)[:, 0]),
-                "E50": quantiles(posterior.median(size)[:, 0]),
-                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)[:, 0]),
+                "breaks_half": quantiles(posterior.energy_at(0.5, size)),
+                "E50": quantiles(posterior.median(size)),
+                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
                 "slope": quantiles(-posterior.slope(size)),
             }
         )

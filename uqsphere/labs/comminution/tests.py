@@ -1,9 +1,10 @@
 """Tests of single particles: between which energies the first fracture energy of every specimen
 lies."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,13 +22,12 @@ _BROKE = {
     **dict.fromkeys(("broke", "broken", "1", "yes", "true"), True),
     **dict.fromkeys(("survived", "0", "no", "false", "stopped"), False),
 }
-#: relative difference within which two sizes are the same
-_SAME = 0.005
+#: relative difference within which two sizes in order are the same; and of a specimen from them
+_SAME, _NEAR = 0.005, 0.006
 _MOST_BLOWS = 10_000
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Specimens:
+class Specimens(NamedTuple):
     """Specimens (s,) with the blows (s, K) [J/kg] that each had, 0 for none.
 
     broke : whether the last blow broke it.
@@ -59,11 +59,12 @@ class Specimens:
         return np.asarray(self.blows[:, 1:].any(axis=1))
 
     @property
-    def sizes(self) -> tuple[float, ...]:
-        """The tested sizes [m], rising."""
+    def sizes(self) -> dict[float, Flags]:
+        """The specimens (s,) of each tested size [m], rising."""
         logs = np.log(np.sort(self.diameter))
         parts = np.split(logs, np.flatnonzero(np.diff(logs) > _SAME) + 1)
-        return tuple(np.exp(part.mean()) for part in parts)
+        sizes = [np.exp(part.mean()) for part in parts]
+        return {size: np.abs(np.log(self.diameter / size)) < _NEAR for size in sizes}
 
     def bounds(self, gamma: Array) -> tuple[Array, Array]:
         """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is

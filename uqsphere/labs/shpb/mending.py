@@ -123,7 +123,9 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         _first_stay(trace, trace.strain - _rest_of(trace.strain), _INCIDENT)
         for trace in traces["incident"]
     ]
-    step = traces["incident"][0].step
+    trace = traces["incident"][0]
+    length = len(trace.strain)
+    step = trace.step
     passage = (bar.length or math.inf) / bar.wave_speed
     passes = min(stay.last - stay.first + 1 for stay in stays) * step / passage
     if passes > _PASSES:
@@ -132,7 +134,6 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             "(record.time_unit)?"
         )
     # the first wave of a signal begins before the first echo of a far end
-    length = len(traces["incident"][0].strain)
     limits = dict.fromkeys(traces, length)
     if not asked.aligned:
         first = min(stay.first for stay in stays)

@@ -12,7 +12,6 @@ Source: G. T. Gray III, ASM Handbook 8, 2000.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +40,7 @@ _FEWEST = 50
 _BENDING = 0.04
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reading:
+class Reading(NamedTuple):
     """One test.
 
     step, touch : sampling interval, and time of first touch in the record [s].
