@@ -39,7 +39,7 @@ def particle_energies(
     """The particle's own energy per mass [J/kg] of every row, and notes."""
     want = asked.tests
     material = asked.material
-    notes = list[str]()
+    notes = []
     if want.mass:
         mass = table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
     elif material.density is not None:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, special
+from uqsphere.arrays import Array, Places, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
 from uqsphere.labs.comminution.document import ComminutionDocument
@@ -338,8 +338,8 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         )
     gamma = want.gamma if isinstance(want.gamma, float) else None
     models = [model_of(law, asked, tests) for law in laws.LAWS if want.law in (law, "average")]
-    chains = list[Array]()
-    about = dict[str, dict[str, Any]]()
+    chains = []
+    about = {}
     for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
         chain, about[model.law] = sample(model, tests, gamma, rng, asked.draws)

@@ -91,7 +91,7 @@ def find_arrivals(record: Record) -> Arrivals:
             doubt_a = doubt_a or doubt_b
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
         return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
-    arrivals = list[float]()
+    arrivals = []
     delays = _delays(record, predicted, *_FINE)
     for signal, delay in zip((record.reflected, receiving), delays, strict=True):
         shift = 0.0

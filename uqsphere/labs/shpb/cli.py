@@ -29,7 +29,7 @@ def _records(chosen: argparse.Namespace) -> int:
     from uqsphere.labs.shpb.waves import read_test
 
     several = len(chosen.file) > 1
-    lines = list[tuple[str, ...]]()
+    lines = []
     texts = []
     files = dict[str, str]()
     contents: list[dict[str, object]] = []

@@ -4,6 +4,7 @@ Every check doubts the peaks that it concerns, and widens their intervals to wha
 """
 
 import math
+
 import numpy as np
 from scipy.optimize import lsq_linear
 

@@ -141,12 +141,12 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         limits["incident"] = int(min(length, first + 2.0 * passage / step))
         limits["receiving"] = int(min(length, first + delay / step))
     polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
-    signals = dict[str, Signal]()
+    signals = {}
     signs = list[float]()
     for role, gauges in traces.items():
         end = 0
-        turned = list[Signal]()
-        names = list[str]()
+        turned = []
+        names = []
         if role == "receiving":
             end = max(min(stay.first - 2 * stay.rising for stay in stays), 0)
         for trace in gauges:
@@ -255,7 +255,7 @@ def _without_faults(trace: Trace) -> Trace:
     lines, and whose clipped samples are marked unknown."""
     values = trace.strain.copy()
     longest = min(max(5, math.ceil(_SHORTEST / trace.step)), 40)
-    removed = list[tuple[int, int, float]]()
+    removed = []
     for _ in range(3):  # a large spike hides smaller ones
         spikes = _spikes(values, longest)
         for first, last, _size in spikes:

@@ -151,7 +151,7 @@ def _pointed_top(course: Force, level: float, most: int) -> _Top:
     scatter = course.scatter(samples)
     near = (means > highest - 2.0 * scatter).sum()
     equal = 1.0 + near / (samples * max(1.0, course.memory / samples))
-    value = highest - scatter * float(ndtri((equal - 0.375) / (equal + 0.25)))
+    value = highest - scatter * ndtri((equal - 0.375) / (equal + 0.25))
     ends = (value + missed / 3.0, value + missed)
     value = min(value + 2.0 / 3.0 * missed, course.medians(3).max())
     # means over n and 2n share half of their samples

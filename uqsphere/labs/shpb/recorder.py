@@ -257,7 +257,7 @@ def read_traces(
     """
     asked = document.record
     files = list[list[Column]]()
-    metadata = list[str]()
+    metadata = []
     for file in (asked.file, *asked.more_files):
         table, above = read_recorded(folder / file, _LARGEST)
         for note in table.notes:
@@ -270,7 +270,7 @@ def read_traces(
         metadata.append(above)
     time, place = _clock(asked, files, metadata[0], changes)
     time = _common(time, place, files, asked.time_unit, changes)
-    traces = list[Trace]()
+    traces = []
     for role, columns in _by_role(asked, files, place, time).items():
         bar = document.incident_bar
         if role == "receiving":
