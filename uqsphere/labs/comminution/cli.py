@@ -60,8 +60,8 @@ def _run(chosen: argparse.Namespace) -> None:
         ]
         head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
         files["classes.csv"] = csv_text(rows, head)
-        rows = [(*row.values(),) for row in answer["product"]]
-        if rows:
+        if answer["product"]:
+            rows = [(*row.values(),) for row in answer["product"]]
             head = ["sieve [m]", "feed", "passing", "low", "high"]
             files["product.csv"] = csv_text(rows, head)
     for warning in dict.fromkeys(warnings):
@@ -82,11 +82,11 @@ def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -
 def _fit_text(content: dict[str, Any]) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
-    sizes: list[tuple[str, ...]] = [
-        ("size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %")
+    sizes = [
+        ["size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %"]
     ]
     for size in content["sizes"]:
-        row: tuple[str, ...] = (f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"]))
+        row = [f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"])]
         for key in ("E50", "breaks_half", "breaks_1_percent"):
             row += _interval(size[key], 1.0, "J/kg")
         sizes.append(row)

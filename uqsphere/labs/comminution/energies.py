@@ -59,9 +59,8 @@ def particle_energies(
             unit = want.stiffness_unit or None
             modulus = table.numbers(want.stiffness, "pressure", unit, key="stiffness")
         else:
-            compliance = 1.0 / stiffness(material)
-            if want.partner is not None:
-                compliance += 1.0 / stiffness(want.partner)
+            bodies = filter(None, (material, want.partner))
+            compliance = sum(1.0 / stiffness(body) for body in bodies)
             modulus = np.full(len(energy), 1.0 / compliance)
             notes.append(
                 "the stiffness of intact rock is assumed: energies from the measured stiffness are "

@@ -220,11 +220,8 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     sizes = (*tests.sizes,)
     shape = laws.LAWS[law]
     several = len(sizes) > 1
-    size = want.size
-    classes = tuple[float, ...]()
-    if not several or size == "class":
-        size = "class"
-        classes = sizes
+    size = want.size if several else "class"
+    if size == "class":
         priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
         largest = tests.diameter >= 0.75 * tests.diameter.max()
@@ -238,7 +235,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     for name, prior in want.prior.items():
         if name in priors:
             priors[name] = (prior.log_mean, prior.log_sd)
-    return EnergyModel(law=law, size=size, ratio=want.ratio, priors=priors, classes=classes)
+    return EnergyModel(law=law, size=size, ratio=want.ratio, priors=priors, classes=sizes)
 
 
 # --- sampling -------------------------------------------------------------------------------------
@@ -359,11 +356,10 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         for j, name in enumerate(model.priors):
             column = parameters.setdefault(name, np.full(len(law_of), np.nan))
             column[places] = np.exp(chains[k][rows, j])
-    if "gamma" not in parameters:
-        mean, sd = PRIORS["gamma"]
-        parameters["gamma"] = np.exp(mean + sd * rng.standard_normal(len(law_of)))
-        if gamma is not None:
-            parameters["gamma"] = np.full(len(law_of), gamma)
+    mean, sd = PRIORS["gamma"]
+    parameters.setdefault("gamma", np.exp(mean + sd * rng.standard_normal(len(law_of))))
+    if gamma is not None:
+        parameters["gamma"] = np.full(len(law_of), gamma)
     posterior = Posterior(
         models=models,
         law=law_of,

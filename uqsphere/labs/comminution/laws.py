@@ -30,7 +30,6 @@ SIZES = {
     "tavares": ("e_inf", "d0", "phi"),
     "king": ("e_inf", "d0", "phi"),
     "power": ("C", "phi"),
-    "class": (),
 }
 LAWS = {"lognormal": "sigma", "weibull": "modulus"}
 
@@ -39,7 +38,7 @@ def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Va
     """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
     top = ratio * median
     with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.where(energy < top, 1.0 - np.where(np.isfinite(top), energy / top, 0.0), 0.0)
+        left = np.where(energy < top, 1.0 - energy / top, 0.0)
         return (np.log(energy / median) - np.log(left)) / sigma
 
 
@@ -127,16 +126,15 @@ def before_blow(left: Values, gamma: Values) -> Array:
     left, g = np.broadcast_arrays(left, gamma)
     low = np.full(left.shape, -150.0)
     high = np.full(left.shape, 700.0)
-    with np.errstate(over="ignore", divide="ignore", under="ignore"):
+    with np.errstate(over="ignore", divide="ignore"):
         wanted = np.log(np.maximum(left, 1e-300))
         for _ in range(70):
             t = 0.5 * (low + high)
-            whole = -np.logaddexp(0.0, t)
             log_d = -np.logaddexp(0.0, -t)
             log_share = (2.5 / g) * log_d + np.log(
                 (2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g)
             )
-            more = whole - log_share > wanted
+            more = -np.logaddexp(0.0, t) - log_share > wanted
             low = np.where(more, t, low)
             high = np.where(more, high, t)
         return np.where(left > 0.0, np.exp(-log_share), 1.0)
@@ -155,10 +153,9 @@ def survivor_bound(energies: Values, gamma: Values) -> Array:
     bound = np.zeros(np.broadcast_shapes(blows.shape[:-1], np.shape(gamma)))
     for energy in np.moveaxis(blows, -1, 0)[::-1]:
         struck = energy > 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            left = np.where(struck, bound / np.where(struck, energy, 1.0), 0.0)
-            reached = energy * before_blow(left, gamma)
-        bound = np.where(struck, np.maximum(reached, energy), bound)
+        left = bound / np.where(struck, energy, 1.0)
+        reached = np.maximum(energy * before_blow(left, gamma), energy)
+        bound = np.where(struck, reached, bound)
     return bound
 
 

@@ -382,7 +382,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
         wave = _first_wave(trace, (values - (level + slope * places))[:limit], scatter)
     count = max(wave.foot - max(3, wave.rising // 5), 0)
     if end >= _BASELINE:
-        count = max(min(count, len(values)), min(end, wave.half))
+        count = max(count, min(end, wave.half))
     rest = slice(count)
     if count < _BASELINE:
         rest = slice(-max(2 * _BASELINE, len(values) // 20), None)
