@@ -40,11 +40,11 @@ Kind = TypeVar("Kind", bound=TomlTable)
 
 
 class Fault(ValueError):
-    """A fault of one part of a value: `at` is the way to it."""
+    """A fault of one part of a value: `at` is the way to it, as users write it."""
 
     def __init__(self, message: str, *at: str | int) -> None:
         super().__init__(message)
-        self.at: Place = tuple(part for part in at if part != "")
+        self.at = path_of(*at)
 
 
 @contextmanager
@@ -53,22 +53,35 @@ def within(*at: str | int) -> Iterator[None]:
     try:
         yield
     except Fault as error:
-        raise Fault(str(error), *at, *error.at) from None
+        raise Fault(str(error), *at, error.at) from None
 
 
 # --- words ----------------------------------------------------------------------------------------
 
 
-def path_of(place: Place) -> str:
-    """A place as users write it.
+def path_of(*parts: str | int) -> str:
+    """A place as users write it: keys, numbers of entries, and places inside of these.
 
-    >>> path_of(("dependence", 0, "of"))
-    'dependence[0].of'
+    >>> path_of("dependence", 0, "of"), path_of("limits.high", "", "values[1]")
+    ('dependence[0].of', 'limits.high.values[1]')
     """
     path = ""
-    for part in place:
-        path += f"[{part}]" if isinstance(part, int) else f".{part}"
-    return path.removeprefix(".")
+    for part in parts:
+        if part != "":
+            path += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return path.replace(".[", "[").removeprefix(".")
+
+
+def above(path: str) -> list[str]:
+    """A place and what holds it, from the inside out.
+
+    >>> above("dependence[0].of")
+    ['dependence[0].of', 'dependence[0]', 'dependence', '']
+    """
+    places = [path]
+    while places[-1]:
+        places.append(re.sub(r"([.\[]|^)[^.\[]*\Z", "", places[-1]))
+    return places
 
 
 def one_of(words: Iterable[str]) -> str:
@@ -166,32 +179,33 @@ def _huge_numbers(node: Any, place: Place = ()) -> Iterator[Place]:
         yield place
 
 
-def lines_of(text: str) -> dict[Place, int]:
+def lines_of(text: str) -> dict[str, int]:
     """Line of every table header and every key; a key of an inline table stands in the line of its
     table.
 
-    >>> lines_of('[sphere]\\nE = { sd = 1 }\\n[[dependence]]\\nof = []')[("dependence", 0, "of")]
+    >>> lines_of('[sphere]\\nE = { sd = 1 }\\n[[dependence]]\\nof = []')["dependence[0].of"]
     4
     """
-    lines: dict[Place, int] = {}
-    table: Place = ()
-    seen: Counter[Place] = Counter()
+    lines = {"": 1}
+    table = ""
+    seen = Counter[str]()
     for number, line in enumerate(text.split("\n"), 1):
         header = re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line)
         key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
         if key is None:
             continue
-        parts: Place = _parts(key[2])
+        path = path_of(*_parts(key[2]))
         if header:
-            table = parts
+            table = path
             if key[1] == "[[":
-                table = (*parts, seen[parts])
-            seen[parts] += 1
+                table = f"{path}[{seen[path]}]"
+            seen[path] += 1
             lines[table] = number
+            path = table
         else:
-            parts = (*table, *parts)
-        for n in range(1, len(parts) + 1):
-            lines.setdefault(parts[:n], number)
+            path = path_of(table, path)
+        for place in above(path):
+            lines.setdefault(place, number)
     return lines
 
 
@@ -203,23 +217,22 @@ def _parts(text: str) -> tuple[str, ...]:
     )
 
 
-def located(text: str, faults: Iterable[Fault], overridden: Sequence[Place]) -> list[Problem]:
+def located(text: str, faults: Iterable[Fault], overridden: Iterable[str]) -> list[Problem]:
     """Each fault with the line of its place in a text, or of the nearest table above it."""
     lines = lines_of(text)
     problems = []
     for fault in faults:
-        line = 1
+        places = above(fault.at)
         message = str(fault)
-        for n in range(len(fault.at)):
-            line = lines.get(fault.at[: n + 1], line)
-        if any(fault.at[: len(place)] == place for place in overridden):
+        if not set(places).isdisjoint(overridden):
             message += " (set by --set)"
-        problems.append(Problem(line=line, path=as_text(path_of(fault.at)), message=message))
+        line = next(lines[place] for place in places if place in lines)
+        problems.append(Problem(line=line, path=as_text(fault.at), message=message))
     return list(dict.fromkeys(problems))
 
 
 def refusal(
-    path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[Place] = ()
+    path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[str] = ()
 ) -> StudyError:
     """The error of an input file, with every fault at its line."""
     return StudyError(str(path), located(text, faults, overridden))
@@ -228,7 +241,7 @@ def refusal(
 # --- values set from outside a file, and tables as its text ---------------------------------------
 
 
-def set_value(data: dict[str, Any], text: str) -> Place:
+def set_value(data: dict[str, Any], text: str) -> str:
     """Put ``PATH=VALUE``, a TOML value or a text, into tables, or take out what is ``null``;
     returns the place.
     """
@@ -258,9 +271,9 @@ def set_value(data: dict[str, Any], text: str) -> Place:
     except (LookupError, TypeError):
         near = suggestion(place[-1], node) if isinstance(node, dict) else ""
         raise UsageError(
-            f"{shown(text)}: there is no {path_of(tuple(parts))} in the study{near}"
+            f"{shown(text)}: there is no {path_of(*parts)} in the study{near}"
         ) from None
-    return tuple(place)
+    return path_of(*place)
 
 
 def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) -> str:
@@ -289,7 +302,7 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
         try:
             return plain(value.tolist() if hasattr(value, "tolist") else default(value), *place)
         except ValueError as error:
-            raise UsageError(f"{path_of(place)} ({type(value).__name__}): {error}") from None
+            raise UsageError(f"{path_of(*place)} ({type(value).__name__}): {error}") from None
 
     try:
         return tomli_w.dumps(plain(tables))
@@ -338,8 +351,8 @@ def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
         place = tuple(part for part in entry["loc"] if not _MEMBER.fullmatch(str(part)))
         if place in above:
             continue
-        at = getattr(entry.get("ctx", {}).get("error"), "at", ())
-        faults[place] = Fault(_text(kind, entry, place), *place, *at)
+        at = getattr(entry.get("ctx", {}).get("error"), "at", "")
+        faults[place] = Fault(_text(kind, entry, place), *place, at)
         above |= {place[:n] for n in range(len(place) + 1)}
     return list(faults.values())
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from uqsphere.documents import Fault, Place, faults_of, one_of, path_of, suggestion, unknown, within
+from uqsphere.documents import Fault, faults_of, one_of, suggestion, unknown, within
 from uqsphere.errors import as_text
 from uqsphere.materials import MATERIAL_KINDS, library
 from uqsphere.mechanics import forms
@@ -99,9 +99,7 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
         analysis=analysis,
         outputs=document.outputs.names,
         caveats=tuple(
-            (holds, path_of(place), message)
-            for (place, message), holds in draft.warnings.items()
-            if holds
+            (holds, place, message) for (place, message), holds in draft.warnings.items() if holds
         ),
         gauges=tuple(draft.gauges().values()),
         files=tuple(draft.files.items()),
@@ -116,9 +114,9 @@ def tables(draft: Draft) -> Faults:
     inputs = draft.data.get("inputs")
     for name, raw in inputs.items() if isinstance(inputs, Mapping) else ():
         try:
-            draft.numbers[name] = number_of(raw, plain_quantity(name), draft, ("inputs", name))
+            draft.numbers[name] = number_of(raw, plain_quantity(name), draft, f"inputs.{name}")
         except Fault as fault:
-            yield Fault(str(fault), "inputs", name, *fault.at)
+            yield Fault(str(fault), f"inputs.{name}", fault.at)
     try:
         draft.document = Document.model_validate(draft.data, context=draft)
     except ValidationError as error:
@@ -177,15 +175,13 @@ def _box(draft: Draft) -> Faults:
     if not names and not scene:
         yield Fault(
             'the names of the outputs are missing. Add [outputs] with names = ["y"]',
-            "outputs",
-            "names",
+            "outputs.names",
         )
     for name in sorted({"status", "censored", *inputs} & {*names}):
         yield Fault(
             f"{shown(name)} is already the name of an input, or of a column of the samples. Rename "
             "the output",
-            "outputs",
-            "names",
+            "outputs.names",
         )
 
 
@@ -212,8 +208,7 @@ def _library(draft: Draft) -> Faults:
                     near = f"; {shown(name)} is a material for {kind}"
             yield Fault(
                 f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(materials)}{near}",
-                table,
-                "material",
+                f"{table}.material",
             )
             continue
         if table != "insert":
@@ -227,7 +222,7 @@ def _library(draft: Draft) -> Faults:
                 numbers[path], sources[path] = Number(value=entry.value), entry
         E = properties.get("E")
         if E is not None and E.value < 1e8:
-            draft.warn((table, "material"), f"{name} is not an elastic solid: {E.note}")
+            draft.warn(f"{table}.material", f"{name} is not an elastic solid: {E.note}")
     law = document.contact.law
     model = document.model
     follows = model.fidelity == "full" and not model.compare_with_paper
@@ -263,8 +258,7 @@ def _words(draft: Draft) -> Faults:
             if "shape" in pulse.model_fields_set and pulse.shape != shape:
                 yield Fault(
                     f'the preset "{pulse.preset}" is a {shape} pulse. Remove shape or preset',
-                    "pulse",
-                    "shape",
+                    "pulse.shape",
                 )
         options["bars.infinite"] = document.bars.infinite
         options["bars.rigid_contact"] = document.bars.rigid_contact
@@ -299,11 +293,13 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
             homes = [form for form, keys in FORMS[table].items() if key in re.findall(r"\w+", keys)]
             if homes and kind not in homes:
                 only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
-                yield Fault(f"{key} is not a key of {of}{only}. Remove it", table, key)
+                yield Fault(f"{key} is not a key of {of}{only}. Remove it", f"{table}.{key}")
         for keys in forms.needs_of(FORMS[table].get(kind, "")):
             held = present.intersection(keys)
             if len(held) == 2:
-                yield Fault(f"give only one of {one_of(keys)}. Remove the other", table, keys[1])
+                yield Fault(
+                    f"give only one of {one_of(keys)}. Remove the other", f"{table}.{keys[1]}"
+                )
             if held:
                 continue
             ways = []
@@ -316,7 +312,7 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
                 ways.append("infinite = true")
             meaning = f" ({entries[keys[0]].meaning})" if keys[0] in entries else ""
             message = f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}"
-            yield Fault(message, table, keys[0])
+            yield Fault(message, f"{table}.{keys[0]}")
 
 
 # --- 4: what contradicts, random numbers at their nominal means -----------------------------------
@@ -331,39 +327,34 @@ def _model(draft: Draft) -> Faults:
             yield Fault(
                 f'{key} = {shown(word)} requires contact.law = "hertz", not "plastic". Change one '
                 "of them",
-                "model",
-                key,
+                f"model.{key}",
             )
     if model.whole_record and model.first_loading_only:
         yield Fault(
             "whole_record and first_loading_only contradict each other. Remove one of them",
-            "model",
-            "whole_record",
+            "model.whole_record",
         )
     light = rig.weight_falls and rig.kind(1, draft.options) != "bar" and not draft.plastic
     possible = model.fidelity == "full" or (light and model.fidelity == "massless")
     if not (rig.by_wave or possible):
         yield Fault(
             f'the rig {shown(rig.name)} supports only fidelity = "full". Remove fidelity',
-            "model",
-            "fidelity",
+            "model.fidelity",
         )
     if rig.by_impact:
-        draft.warn((), _NO_SPHERE)
+        draft.warn("", _NO_SPHERE)
     radius = draft.mean("sphere.radius")
     if draft.mean("platens.displacement") >= radius:
         yield Fault(
             f"displacement must be below the sphere radius ({1e3 * radius:.4g} mm), for example "
             '"0.1 mm"',
-            "platens",
-            "displacement",
+            "platens.displacement",
         )
     if "insert" in draft.data and draft.document.bars.rigid_contact:
         yield Fault(
             "bars.rigid_contact = true leaves inserts out of the contact stiffness too. Remove "
             "[insert] or rigid_contact",
-            "insert",
-            "E",
+            "insert.E",
         )
 
 
@@ -377,8 +368,7 @@ def _scene(draft: Draft) -> Faults:
         yield Fault(
             "a step pulse never ends. End the evaluation window in [model], for example horizon = "
             '"3 ms"',
-            "model",
-            "horizon",
+            "model.horizon",
         )
         model = model.model_copy(update={"horizon": 1.0})
     if draft.mean("contact.pile_up") == 1.0 and "contact.hardness" not in numbers:
@@ -416,8 +406,7 @@ def _scene(draft: Draft) -> Faults:
         yield Fault(
             "the plastic law needs the pressure at which a contact yields. Add "
             f"{one_of(dict.fromkeys(names))}",
-            "contact",
-            "law",
+            "contact.law",
         )
     of_contact = any(f"contact.{key}" in numbers for key in LAW)
     for softer, face in faces.items():
@@ -447,39 +436,38 @@ def _pulse(draft: Draft) -> Faults:
         yield Fault(
             "the sphere diameter exceeds the bar diameter; bars.diameter must be at least "
             f"{format_value(across, 'bars.diameter')}",
-            "sphere",
-            "radius",
+            "sphere.radius",
         )
     if not scene.pulse.valid[0]:
         width = format_value(scene.scales.duration[0], "pulse.duration")
-        place = ("pulse", "rise")
+        place = "pulse.rise"
         why = f"half of rise and fall exceeds the width of the pulse, {width}. Shorten them"
         if shape == "two_peak":
-            place = ("pulse", "t2")
+            place = "pulse.t2"
             why = (
                 "the first peak must come before the second, and the second before the end of the "
                 f"pulse, {width}"
             )
         elif scene.striker_ratio is not None:
-            place = ("striker", "")
+            place = "striker"
             why += (
                 f", or reduce the impedance of the striker: {scene.striker_ratio[0]:.3g} times "
                 "that of the bars, at most 9"
             )
-        raise Fault(why, *place)
+        raise Fault(why, place)
     lasts = scene.pulse.end[0]
     trip = scene.round_trips[0, 0]
     if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
-        place = ("striker", "length")
+        place = "striker.length"
         if "pulse.duration" in draft.numbers:
-            place = ("pulse", "duration")
-        place = {"step": ("pulse", "shape"), "measured": ("pulse", "file")}.get(shape, place)
+            place = "pulse.duration"
+        place = {"step": "pulse.shape", "measured": "pulse.file"}.get(shape, place)
         width, back = (format_value(time, "pulse.duration") for time in (lasts, trip))
         raise Fault(
             f"the pulse lasts {width}, longer than the round trip of {back} in the incident bar, "
             "whose far end cannot reflect while the striker touches it. Shorten the pulse, "
             'lengthen the bar, or set incident_end = "absorbing"',
-            *place,
+            place,
         )
 
 
@@ -497,8 +485,7 @@ def _gauges(draft: Draft) -> Faults:
         if not has_it:
             yield Fault(
                 f"the rig has no {name}. Gauges stand on the bars, or on the rod of a load_cell",
-                *place,
-                "bar",
+                f"{place}.bar",
             )
         elif gauge.position > length:
             here = format_value(gauge.position, path)
@@ -506,7 +493,7 @@ def _gauges(draft: Draft) -> Faults:
             yield Fault(
                 f"the distance from the sphere must be at most {end}, the length of the {name}, "
                 f"not {here}",
-                *place,
+                place,
             )
 
 
@@ -518,7 +505,7 @@ def _limits(draft: Draft) -> Faults:
         try:
             read_limit(draft, name, table)
         except Fault as fault:
-            yield Fault(str(fault), "limits", name, *fault.at)
+            yield Fault(str(fault), f"limits.{name}", fault.at)
 
 
 def _analysis(draft: Draft) -> Faults:
@@ -526,7 +513,7 @@ def _analysis(draft: Draft) -> Faults:
     for index, name in enumerate(draft.document.analysis.quantities):
         if name not in draft.quantities:
             yield Fault(
-                unknown("quantity", name, draft.quantities), "analysis", "quantities", index
+                unknown("quantity", name, draft.quantities), f"analysis.quantities[{index}]"
             )
 
 
@@ -540,7 +527,7 @@ def _dependence(draft: Draft) -> None:
                 message = unknown("random input", name, random)
                 if name in draft.numbers:
                     message = f"{shown(name)} is a fixed number. Make it random, or remove it here"
-                raise Fault(message, "dependence", index, "of", at)
+                raise Fault(message, f"dependence[{index}].of[{at}]")
         ties.append(Dependence(**dict(table)))
         try:
             make_joint(list(random), list(random.values()), ties)
@@ -548,7 +535,7 @@ def _dependence(draft: Draft) -> None:
             key = error.key
             if key == "spearman" and table.spearman is None:
                 key = "kendall"
-            raise Fault(error.message, "dependence", index, key) from None
+            raise Fault(error.message, f"dependence[{index}]", key) from None
 
 
 def _margins(draft: Draft) -> Faults:
@@ -565,8 +552,7 @@ def _margins(draft: Draft) -> Faults:
         raise Fault(
             f"{shown(table.solve)} is not {noun} of this study, which has {one_of(names[:30])}"
             f"{suggestion(solve, names)}",
-            "margins",
-            "solve",
+            "margins.solve",
         )
     strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
     quantity = strengths.get(solve, solve)
@@ -575,19 +561,18 @@ def _margins(draft: Draft) -> Faults:
         entry = replace(entry, lower=0.0, meaning="the mean strength")
     ends = []
     for index, raw in enumerate(table.between):
-        with within("margins", "between", index):
+        with within(f"margins.between[{index}]"):
             ends.append(value_of(raw, entry))
     if not ends[0] < ends[1]:
         raise Fault(
             f"must be [low, high], not [{', '.join(map(shown, table.between))}]. Swap the values",
-            "margins",
-            "between",
+            "margins.between",
         )
     for limit in draft.limits.values():
         if solve == "sphere.radius" and limit.tested is not None:
             with within("margins"):
                 radii = (0.5 * limit.tested.diameter, *ends)
-                compare_sizes(limit, radii, draft, ("margins", "between"))
+                compare_sizes(limit, radii, draft, "margins.between")
     draft.margins = table.model_copy(
         update={
             "solve": solve,
@@ -602,12 +587,11 @@ def _margins(draft: Draft) -> Faults:
         try:
             law.with_mean(value)
         except LawError as error:
-            place: Place = ("between", index) if "mean" in law.given else ("solve",)
+            place = f"between[{index}]" if "mean" in law.given else "solve"
             yield Fault(
                 f"{solve} has no distribution with this mean: {error.message} (SI). Describe it by "
                 "mean and sd or cov, or as a fixed number",
-                "margins",
-                *place,
+                f"margins.{place}",
             )
 
 

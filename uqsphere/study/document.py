@@ -24,7 +24,7 @@ from pydantic import (
 )
 from pydantic import model_validator as checked
 
-from uqsphere.documents import Fault, Place, TomlTable, table_in
+from uqsphere.documents import Fault, TomlTable, table_in
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.bars import END_COEFFICIENTS
@@ -299,9 +299,9 @@ Distribution: Any = create_model(
 )
 
 
-def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: Place) -> Number | None:
+def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: str) -> Number | None:
     """A number of the scene; a flat face has no radius."""
-    if place[-1] == "face_radius" and raw == "flat":
+    if place.endswith(".face_radius") and raw == "flat":
         return None
     return number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
 
@@ -319,7 +319,7 @@ def _with_numbers(table: str, words: type[TomlTable]) -> type[TomlTable]:
         elif name.endswith("face_radius"):
             kinds |= Literal["flat"]
         mark = BeforeValidator(
-            partial(_read, quantity=quantity, place=(table, name)), json_schema_input_type=kinds
+            partial(_read, quantity=quantity, place=f"{table}.{name}"), json_schema_input_type=kinds
         )
         numbers[name] = Annotated[Any, mark], keyed(quantity.meaning)
     return create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
@@ -515,7 +515,7 @@ class Draft:
     scene: "Scene | None" = None
     limits: dict[str, "Limit"] = field(default_factory=dict)
     margins: Margins | None = None
-    warnings: dict[tuple[Place, str], str] = field(default_factory=dict)
+    warnings: dict[tuple[str, str], str] = field(default_factory=dict)
     files: dict[str, Path] = field(default_factory=dict)
 
     @property
@@ -528,15 +528,15 @@ class Draft:
         """Names that can be requested."""
         return self.document.outputs.names if self.box else tuple(OUTPUTS)
 
-    def gauges(self) -> dict[Place, Gauge]:
+    def gauges(self) -> dict[str, Gauge]:
         """The gauges by their places in the study, that of a rod first."""
-        gauges: dict[Place, Gauge] = {}
+        gauges = {f"gauges[{k}]": gauge for k, gauge in enumerate(self.document.gauges)}
         rod = self.document.rod.gauge
-        if rod is not None:
-            gauges["rod", "gauge"] = Gauge.model_construct(bar="rod", position=rod)
-        return gauges | {("gauges", k): gauge for k, gauge in enumerate(self.document.gauges)}
+        if rod is None:
+            return gauges
+        return {"rod.gauge": Gauge.model_construct(bar="rod", position=rod), **gauges}
 
-    def warn(self, place: Place, message: str, holds: str = "") -> None:
+    def warn(self, place: str, message: str, holds: str = "") -> None:
         """Note what a user should know and what does not stop the study, once.
 
         holds : code of the caveat by which no verdict is established, `unit`, `plausibility` or

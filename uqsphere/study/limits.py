@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.documents import Fault, Place, declared, one_of, suggestion, unknown, within
+from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, within
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
@@ -72,7 +72,7 @@ _FACTOR = Quantity(
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     """One limit: demand, strength and model factor; raises Fault."""
-    place = ("limits", name)
+    place = f"limits.{name}"
     limit = _demand(draft, name, table)
     of_fracture = sorted(key for key, entry in OUTPUTS.items() if entry.fracture)
     if table.fracture and table.criterion is None and limit.quantity not in of_fracture:
@@ -82,9 +82,9 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
             "fracture",
         )
     with within("model_factor"):
-        factor = number_of(table.model_factor, _FACTOR, draft, (*place, "model_factor"))
+        factor = number_of(table.model_factor, _FACTOR, draft, f"{place}.model_factor")
     with within("strength"):
-        strength = _strength(draft, table, limit, (*place, "strength"))
+        strength = _strength(draft, table, limit, f"{place}.strength")
     if limit.needs_modulus:
         fitted = modulus_of(strength.value)
         modulus = limit.parameters.get("modulus")
@@ -205,7 +205,7 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
     return meant == "hertz"
 
 
-def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Number:
+def _strength(draft: Draft, table: LimitTable, limit: Limit, place: str) -> Number:
     """A strength: a number or distribution in the unit of the demand, or one from tests; raises
     Fault.
     """
@@ -223,14 +223,14 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: Place) -> Nu
         values.warn_unusual(number.mean, entry, draft, place)
         return number
     number = number_of(table.strength, entry, draft, place)
-    compare_sizes(replace(limit, tested=number.tested), _radii(draft), draft, (*place, "draws"))
+    compare_sizes(replace(limit, tested=number.tested), _radii(draft), draft, f"{place}.draws")
     return number
 
 
 # --- strengths from crushing tests ----------------------------------------------------------------
 
 
-def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Number:
+def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Number:
     """The distribution of the strength from forces at failure, and the tests themselves; raises
     Fault.
     """
@@ -272,7 +272,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
         law=law,
         exponent=exponent,
     )
-    compare_sizes(replace(limit, tested=tested), _radii(draft), draft, (*place, "diameter"))
+    compare_sizes(replace(limit, tested=tested), _radii(draft), draft, f"{place}.diameter")
     if not draft.rig.by_press and "rate_0" not in limit.parameters:
         _warn_of_rate(draft, limit, place)
 
@@ -302,7 +302,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: Place) -> Nu
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
-def _warn_of_rate(draft: Draft, limit: Limit, place: Place) -> None:
+def _warn_of_rate(draft: Draft, limit: Limit, place: str) -> None:
     """Warn of quasi-static tests in a rig that loads dynamically: where the sphere is to break, the
     strength that is left out is on the unsafe side.
     """
@@ -342,7 +342,7 @@ def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> 
         ) from None
 
 
-def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: Place) -> None:
+def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: str) -> None:
     """Warn of tests of another diameter than the sphere's, of its first radius [m].
 
     Raises Fault if no size law, of the tests or of the criterion itself, scales them to one of the
@@ -369,7 +369,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: P
             way = "hold the tests against a pressure or tension: a force has no size law"
         raise Fault(
             f"{sizes}, and no size law covers more than 50 %. Test spheres of this size, or {way}",
-            str(place[-1]),
+            place.rpartition(".")[2],
         )
     if ratios[0] > _SIZES_TOLD:
         scaling = "not scaled"
@@ -386,7 +386,7 @@ def _warn_of_slips(
     rows: Places,
     columns: Mapping[str, Array],
     draft: Draft,
-    place: Place,
+    place: str,
 ) -> Array:
     """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
 
@@ -445,7 +445,7 @@ def _warn_of_slips(
     hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
     if is_usual(diameter / metre * newton, force / newton * metre):
         hint = "are the columns of force and diameter swapped?"
-    draft.warn((*place, key), f"{table.file}: {text}: {hint}", holds="unit")
+    draft.warn(f"{place}.{key}", f"{table.file}: {text}: {hint}", holds="unit")
     return tension
 
 

@@ -1,12 +1,13 @@
 """From a TOML file, a text or a dict to a `Study`, with faults at their lines."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from uqsphere.documents import (
     Fault,
-    Place,
+    above,
     located,
     parse_text,
     read_text,
@@ -86,24 +87,24 @@ def load_study(
         if faults:
             if draft.scene is not None:
                 faults += [*_doubts(draft, faults)]
-            at_keys = [Fault(str(fault), *_written(fault.at, tables)) for fault in faults]
+            at_keys = [Fault(str(fault), _written(fault.at, tables)) for fault in faults]
             raise refusal(path, text, at_keys, overridden)
-    notes = [Fault(message, *_written(place, tables)) for place, message in draft.warnings]
+    notes = [Fault(message, _written(place, tables)) for place, message in draft.warnings]
     warnings = [note.render(name if note.path else "") for note in located(text, notes, overridden)]
     study = resolve(draft, path, text)
     return replace(study, overrides=tuple(overrides), warnings=tuple(warnings))
 
 
-def _written(place: Place, tables: object) -> Place:
+def _written(path: str, tables: object) -> str:
     """A place as far as it was written: a number or a distribution of SciPy has no further keys."""
-    for n, part in enumerate(place):
+    for part in re.finditer(r"[^.\[\]]+", path):
         if isinstance(tables, Mapping):
-            tables = tables.get(part, {})
-        elif isinstance(tables, list | tuple) and isinstance(part, int):
-            tables = tables[part]
+            tables = tables.get(part[0], {})
+        elif isinstance(tables, list | tuple) and part[0].isdigit():
+            tables = tables[int(part[0])]
         else:
-            return place[:n]
-    return place
+            return path[: part.start() - 1]
+    return path
 
 
 def _doubts(draft: Draft, faults: list[Fault]) -> Iterator[Fault]:
@@ -113,9 +114,10 @@ def _doubts(draft: Draft, faults: list[Fault]) -> Iterator[Fault]:
     for (place, message), holds in draft.warnings.items():
         if holds != "unit":
             continue
-        number = place[: 3 if place[0] == "limits" else 2]
-        of_it = [fault for fault in faults if fault.at[: len(number)] == number]
+        depth = 4 if place.startswith("limits.") else 3
+        number = above(place)[-depth:][0]
+        of_it = [fault for fault in faults if number in above(fault.at)]
         if not of_it:
-            yield Fault(message, *place)
+            yield Fault(message, place)
         for fault in of_it:
             fault.args = (f"{message} As it is, {fault}",)

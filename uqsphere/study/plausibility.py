@@ -12,13 +12,12 @@ from typing import TypeAlias
 import numpy as np
 
 from uqsphere.arrays import frozen
-from uqsphere.documents import Place
 from uqsphere.materials import PROPERTIES, Material, library
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
 from uqsphere.study.document import Draft
-from uqsphere.study.study import Limit
+from uqsphere.study.study import Limit, strength_name
 from uqsphere.study.values import numbers_of
 from uqsphere.uq import Law
 
@@ -27,7 +26,7 @@ Range: TypeAlias = tuple[float, float, str]
 #: a factor off the library's range that is told
 _FAR = 3.0
 #: numbers that are alike in all samples of a material, and a factor off its range that is told
-_ALIKE = ("E", "density")
+_ALIKE = (".E", ".density")
 _NEAR = 1.25
 #: Weibull moduli of strengths
 _MODULI = (1.5, 25.0)
@@ -60,7 +59,8 @@ def warn_of_slips(draft: Draft) -> None:
         for key in _KEYS:
             number = draft.numbers.get(getattr(numbers_of(table).get(key), "name", ""))
             if number is not None:
-                _compare(draft, (table, key), f"{table}.{key}", number.mean, like.range_of(key))
+                path = f"{table}.{key}"
+                _compare(draft, path, path, number.mean, like.range_of(key))
     for limit in draft.limits.values():
         _warn_of_modulus(draft, limit)
         _warn_of_partners(draft, limit)
@@ -115,7 +115,7 @@ def _class_of(draft: Draft) -> Like:
 
 
 def _compare(
-    draft: Draft, place: Place, quantity: str, value: float, usual: Range | None, hint: str = ""
+    draft: Draft, place: str, quantity: str, value: float, usual: Range | None, hint: str = ""
 ) -> None:
     """Warn of a number more than a factor off the library's range, by which no verdict holds, and
     of one that is alike in all samples where it is less far off.
@@ -132,7 +132,7 @@ def _compare(
         if value > high:
             text += hint
         draft.warn(place, text, holds="plausibility")
-    elif place[-1] in _ALIKE and not low / _NEAR <= value <= high * _NEAR:
+    elif place.endswith(_ALIKE) and not low / _NEAR <= value <= high * _NEAR:
         draft.warn(place, f"{text} is unusual for {solids} (library: {span})")
 
 
@@ -146,7 +146,7 @@ def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
             f"a Weibull modulus of {modulus:.3g} is unusual (usual: {_MODULI[0]:g} to "
             f"{_MODULI[1]:g}). Are two numbers swapped?"
         )
-        draft.warn(("limits", limit.name, "strength"), text, holds="plausibility")
+        draft.warn(strength_name(limit.name), text, holds="plausibility")
 
 
 def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
@@ -165,7 +165,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     hint = ""
     if mode.strength == "tensile_strength":
         hint = ". Is it a compressive strength? Enter the tensile one, commonly a tenth of it"
-    _compare(draft, ("limits", limit.name, "strength"), limit.quantity, value, usual, hint)
+    _compare(draft, strength_name(limit.name), limit.quantity, value, usual, hint)
 
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
@@ -184,4 +184,4 @@ def _warn_of_partners(draft: Draft, limit: Limit) -> None:
             f"{format_value(rig, 'sphere.E', 3)} in the rig, so equal values of {limit.quantity} "
             'mean different forces. quantity = "P_max" limits the force itself'
         )
-        draft.warn(("limits", limit.name, "strength", "platens"), text)
+        draft.warn(f"{strength_name(limit.name)}.platens", text)

@@ -22,7 +22,6 @@ from uqsphere.arrays import Array, Flags, Places, frozen
 from uqsphere.documents import (
     WORDS,
     Fault,
-    Place,
     TomlTable,
     declared,
     one_of,
@@ -136,7 +135,7 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     return value
 
 
-def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Number:
+def number_of(raw: object, quantity: Quantity, draft: Draft, place: str) -> Number:
     """Value or law of what a file has; warns of what is unusual, and raises Fault."""
     if not isinstance(raw, Mapping):
         number = Number(value=value_of(raw, quantity))
@@ -150,7 +149,7 @@ def number_of(raw: object, quantity: Quantity, draft: Draft, place: Place) -> Nu
     return number
 
 
-def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: Place) -> None:
+def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: str) -> None:
     """Warn of a value (SI) outside the usual range of its quantity."""
     if not quantity.plausible[0] <= value <= quantity.plausible[1]:
         text, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
@@ -195,7 +194,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         raise Fault(message, *raw.keys() & {error.key}) from None
 
 
-def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None:
+def _check_law(law: Law, quantity: Quantity, draft: Draft, place: str) -> None:
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails
     without a meaning.
     """
@@ -222,7 +221,7 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: Place) -> None
     if mean is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         draft.warn(
-            (*place, key),
+            f"{place}.{key}",
             f"the mean {format_value(mean, name)} lies {side} the bound "
             f"{format_value(ends[key], name)}: only a tail of the distribution is sampled",
         )
@@ -415,10 +414,10 @@ def is_tests(raw: Any) -> bool:
     )
 
 
-def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place: Place) -> Number:
+def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place: str) -> Number:
     """The distribution of weighted values, of a column, or of draws; raises Fault."""
     if raw.get("dist") == "discrete":
-        if place[0] == "limits":
+        if place.startswith("limits."):
             raise Fault(
                 "a strength or a model factor needs a density or a column of observations; "
                 "discrete is for inputs",
@@ -563,7 +562,7 @@ def fit(
 
 
 def warn_of_rows(
-    cells: Table, rows: Places, x: Array, stopped: Flags, draft: Draft, place: Place
+    cells: Table, rows: Places, x: Array, stopped: Flags, draft: Draft, place: str
 ) -> None:
     """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
     shape of no fit.
@@ -592,7 +591,7 @@ def warn_of_rows(
             f"only {len(x)} observations: the epistemic uncertainty is large. Use at least {_FEW}"
         )
     for text in notes:
-        draft.warn((*place, "file"), text)
+        draft.warn(f"{place}.file", text)
 
 
 # --- the pulse of a clean record ------------------------------------------------------------------
@@ -644,5 +643,5 @@ def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
             f"rounded, or the record is noisy. {_MENDED}"
         )
     for note in notes:
-        draft.warn(("pulse", "file"), f"{shown(table.file)}: {note}")
+        draft.warn("pulse.file", f"{shown(table.file)}: {note}")
     return pulse
