@@ -13,10 +13,12 @@ or yield have laws of their own (`uqsphere.mechanics.integrator.faces`).
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import chain
+from typing import TypeVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -28,6 +30,8 @@ from uqsphere.mechanics.integrator.compiled import without_collection
 from uqsphere.mechanics.integrator.tracked import empty_answers
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
+
+Result = TypeVar("Result")
 
 #: fidelities the integrator knows, and the number it knows them by
 MODES: dict[str, int] = {
@@ -391,15 +395,7 @@ def integrate(
         found.status[here] = part.status
         found.steps[here] = part.steps
 
-    blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(rows), _BLOCK)]
-    workers = min(thread_count(threads), len(blocks))
-    if workers == 1:
-        for block in blocks:
-            run(block)
-    else:
-        run(slice(0, 0))  # compile, or load, once before the threads ask for it
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(run, blocks))
+    _by_blocks(run, len(rows), _BLOCK, threads)
     return found
 
 
@@ -410,15 +406,13 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     integrated.
     """
     _check_request(scene, fidelity, tolerance)
-    status = int(scene.status[row])
-    if status == 0:
-        found = motions(
-            scene, np.array([row]), fidelity=fidelity, tolerance=tolerance, stop_at_loss=False
-        )[0]
-        if isinstance(found, Motion):
-            return found
-        status = found
-    raise ValueError(f"row {row} has no motion: {STATUS[status]}")
+    found: Motion | int = int(scene.status[row])
+    if found == 0:
+        whole = replace(scene, whole_record=True)
+        (found,) = motions(whole, np.array([row]), fidelity=fidelity, tolerance=tolerance)
+    if isinstance(found, Motion):
+        return found
+    raise ValueError(f"row {row} has no motion: {STATUS[found]}")
 
 
 def motions(
@@ -428,50 +422,54 @@ def motions(
     fidelity: str = "full",
     tolerance: float = 1e-6,
     threads: int | None = None,
-    stop_at_loss: bool | None = None,
     quantities: Collection[str] | None = None,
 ) -> list[Motion | int]:
     """The motions of some rows inside the domain, or the status of those that cannot be integrated.
 
-    They end with the record of the scene, or once none of the `quantities` can change any more;
-    stop_at_loss: whether at the first loss of contact, in place of what the scene says.
+    They end with the record of the scene, or once none of the `quantities` can change any more.
     """
-    stop_at_loss = not scene.whole_record if stop_at_loss is None else stop_at_loss
     arguments = scaled_arguments(scene, rows)
     wanted = wishes(quantities, scene.demands) | tracked.WANT_MOTION
 
-    def of(block: slice) -> list[Motion | int]:
+    def run(block: slice) -> list[Motion | int]:
         given = {name: column[block] for name, column in arguments.items()}
-        found = march_rows(
-            given, MODES[fidelity], tolerance, wanted=wanted, stop_at_loss=stop_at_loss
+        scaled = march_rows(
+            given,
+            MODES[fidelity],
+            tolerance,
+            wanted=wanted,
+            stop_at_loss=not scene.whole_record,
         )
-        own = given["laws"].shape[1] > 0
-        ends = found.answers[:, tracked.ANSWER_END].tolist()
-        return [
-            Motion(
+        courses: list[Motion | int] = scaled.status.tolist()
+        for k in np.flatnonzero(scaled.status == 0).tolist():
+            start, length, states = scaled.paths[k]
+            courses[k] = Motion(
                 scene=scene,
-                row=row,
+                row=int(rows[block][k]),
                 start=start,
                 length=length,
                 states=states[:, :3],
-                forces=states[:, 3:] if own else None,
-                end=end,
+                forces=states[:, 3:] if given["laws"].shape[1] else None,
+                end=float(scaled.answers[k, tracked.ANSWER_END]),
                 fidelity=fidelity,
             )
-            if status == 0
-            else status
-            for row, end, status, (start, length, states) in zip(
-                rows[block].tolist(), ends, found.status.tolist(), found.paths, strict=True
-            )
-        ]
+        return courses
 
     # a call keeps room for all steps of its rows, which fill the lanes of the kernel
-    blocks = [slice(begin, begin + tracked.LANES) for begin in range(0, len(rows), tracked.LANES)]
+    return list(chain.from_iterable(_by_blocks(run, len(rows), tracked.LANES, threads)))
+
+
+def _by_blocks(
+    run: Callable[[slice], Result], count: int, size: int, threads: int | None
+) -> list[Result]:
+    """What a function makes of blocks of so many rows, by threads."""
+    blocks = [slice(begin, begin + size) for begin in range(0, count, size)]
     workers = min(thread_count(threads), len(blocks))
     if workers <= 1:
-        return [motion for block in blocks for motion in of(block)]
+        return list(map(run, blocks))
+    run(slice(0, 0))  # compile, or load, once before the threads ask for it
     with ThreadPoolExecutor(workers) as pool:
-        return [motion for found in pool.map(of, blocks) for motion in found]
+        return list(pool.map(run, blocks))
 
 
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
