@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uqsphere.report import page_files
 from uqsphere.report.format import value
-from uqsphere.report.page import _cell, _linked, page
+from uqsphere.report.page import _cell, _linked
 from uqsphere.report.pictures import indices_of
 from uqsphere.report.tables import assumptions, certificate
 from uqsphere.results.types import Results
@@ -52,6 +53,10 @@ class Outline(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.words += len(data.split()) if not {"svg", "style"} & {*self.open} else 0
+
+
+def page(results: Results) -> str:
+    return page_files(results, [])["report.html"]
 
 
 def results_of(path: Path) -> Results:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from uqsphere import history, load_study
-from uqsphere.report.page import page
+from uqsphere.report import page_files
 from uqsphere.report.sentences import decision_texts
 from uqsphere.results import Run
 from uqsphere.results.types import Results
@@ -21,11 +21,12 @@ def test_a_run_shows_itself_as_its_page_does(path: Path) -> None:
     results = Results.model_validate_json(path.read_bytes())
     html = Run(results=results)._repr_html_()
     assert "<html" not in html
+    page = page_files(results, [])["report.html"]
     pictures = set(re.findall(r'aria-label="([^"]+)"', html))
     assert len(pictures) >= 2
-    assert pictures <= set(re.findall(r'aria-label="([^"]+)"', page(results)))
+    assert pictures <= set(re.findall(r'aria-label="([^"]+)"', page))
     for text in decision_texts(results):
-        assert text.verdict in html
+        assert text.decision.verdict in html
 
 
 def test_a_study_shows_inputs_and_strengths() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import chain
-from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,10 +12,10 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
-from uqsphere.report.format import DASH, change_text, ends_of, label, meaning, value
-from uqsphere.report.sentences import DecisionText, plain_name
+from uqsphere.report.format import DASH, change_text, label, meaning, plain_name, value
+from uqsphere.report.sentences import DecisionText
 from uqsphere.results import Run
-from uqsphere.results.types import InputEntry, Kind
+from uqsphere.results.types import Answer, InputEntry, Kind
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,34 +68,34 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     """What `compare` lists, in its order."""
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    answers = dict[tuple[str, Kind, str], Array]()
-    units = dict[tuple[str, Kind, str], str]()
+    answers = dict[tuple[str, Kind, str], dict[int, Answer]]()
     for number, run in enumerate(runs):
         for row in run.results.answers:
             if row.answer in COMPARED:
-                place = (row.subject, row.answer, str(row.at))
-                units.setdefault(place, row.unit)
-                answers.setdefault(place, np.full((len(runs), 3), np.nan))[number] = ends_of(row)
+                answers.setdefault((row.subject, row.answer, str(row.at)), {})[number] = row
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes = []
-    for place, ends in sorted(answers.items(), key=itemgetter(0)):
+    for (subject, answer, at), rows in sorted(answers.items()):
+        ends = np.full((len(runs), 3), np.nan)
+        for number, row in rows.items():
+            ends[number] = np.array((row.value, row.low, row.high), dtype=float)
         values = ends[:, 0]
         half_widths = 0.5 * np.nan_to_num(ends[:, 2] - ends[:, 1])
         scale = max(abs(values[0]), half_widths[0])
-        if place[1] in INDICES:
+        if answer in INDICES:
             scale = 1.0
-        elif place[1] in PROBABILITIES:
-            scale = targets.get(place[0]) or max(scale, 1e-12)
+        elif answer in PROBABILITIES:
+            scale = targets.get(subject) or max(scale, 1e-12)
         difference = values - values[0]
         # a value of exactly 0 has no scale: each change of it is a whole one
         relative = np.nan_to_num(difference / scale if scale else np.sign(difference))
         most = int(abs(relative).argmax())
         width = math.hypot(half_widths[0], half_widths[most])
         significant = bool(abs(difference[most]) > width)
-        changes.append(
-            _Change(*place, units[place], ends, float(relative[most]), most, significant)
-        )
+        unit = next(iter(rows.values())).unit
+        change = float(relative[most])
+        changes.append(_Change(subject, answer, at, unit, ends, change, most, significant))
     return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 
@@ -140,7 +139,7 @@ def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
                 continue
             text = DecisionText(run.results, decision)
             governing = plain_name(decision.governing)
-            lines.append(f"  {name}: {text.use}; {text.verdict}; {governing} governs")
+            lines.append(f"  {name}: {text.use}; {decision.verdict}; {governing} governs")
             lines.append(f"    {text.broken}")
     return lines
 
@@ -154,7 +153,7 @@ def _settings(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
         changed = [text for text in run.results.study.overrides if text not in common]
         if changed:
             lines.append(f"--set {'; '.join(changed)} ({name})")
-    for name, run in zip(names, runs, strict=True):
+    for name, run in zip(names[1:], runs[1:], strict=True):
         for path, entry in run.results.inputs.items():
             before = first.inputs.get(path)
             if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):

@@ -2,12 +2,8 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from itertools import chain
+from collections.abc import Sequence
 
-import numpy as np
-
-from uqsphere.arrays import Array
 from uqsphere.quantities import (
     format_estimate,
     format_index,
@@ -20,9 +16,7 @@ from uqsphere.quantities import (
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
     Answer,
-    CurvePoint,
     Decision,
-    InputEntry,
     LimitEntry,
     PaperRow,
     QuantityEntry,
@@ -34,11 +28,9 @@ from uqsphere.units import UNITS
 DASH = "–"
 #: a number with its interval
 Estimated = Answer | Range
-_UNITS = sorted({*chain(*UNITS.values())} - {""}, key=len)
+_UNITS = "|".join(re.escape(unit) for units in UNITS.values() for unit in units if unit)
 #: a number in front of its unit, with a blank that may break
-_SPLIT = re.compile(
-    r"(?<=\d) (?=(?:%|" + "|".join(re.escape(unit) for unit in _UNITS[::-1]) + r")(?![\w/]))"
-)
+_SPLIT = re.compile(rf"(?<=\d) (?=(?:%|{_UNITS})(?![\w/]))")
 
 
 def table_of(results: Results) -> Answers:
@@ -77,11 +69,6 @@ def value_range(low: float | None, high: float | None, name: str) -> str:
     first, last = format_together([low, high], name)
     unit = last.partition(" ")[2]
     return f"{first.removesuffix(f' {unit}')} to {last}"
-
-
-def ends_of(row: Estimated | CurvePoint) -> Array:
-    """Value, lower and upper end, (3,); nan where there is none."""
-    return np.array((row.value, row.low, row.high), dtype=float)
 
 
 def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
@@ -148,20 +135,7 @@ def change_text(before: Sequence[float], after: Sequence[float]) -> str:
     return f"{100.0 * (ratio - 1.0):+.3g} %"
 
 
-def complement(p: Estimated) -> Range:
-    """The probability of the opposite event; of one that is certain but for the last bit, below
-    that bit.
-
-    >>> complement(Range(value=0.25)).value, probability(complement(Range(value=1.0)))
-    (0.75, 'below 2.3e-14 %')
-    """
-    value, high, low = (None if x is None else 1.0 - x for x in (p.value, p.low, p.high))
-    if value == 0.0 and not high:
-        high = float(np.finfo(float).eps)
-    return Range(value=value, low=low, high=high, note=p.note)
-
-
-def meaning(name: str, inputs: Mapping[str, InputEntry] | None = None) -> str:
+def meaning(name: str) -> str:
     """What a number is called by people.
 
     >>> meaning("limits.crushing.strength")
@@ -170,8 +144,6 @@ def meaning(name: str, inputs: Mapping[str, InputEntry] | None = None) -> str:
     if name.startswith("limits."):
         limit, _, part = name.removeprefix("limits.").rpartition(".")
         return f"{part.replace('_', ' ')} ({limit.removesuffix(' (assumed)')})"
-    if inputs and name in inputs:
-        return short(inputs[name].meaning)
     return short(lookup(name).meaning)
 
 
@@ -186,9 +158,15 @@ def with_unit(text: str, unit: str) -> str:
 
 def paper_cells(row: PaperRow) -> list[str]:
     """A number of the paper as printed and as corrected, with its unit."""
-    unit = {"1": ""}.get(row.unit, row.unit)
     numbers = (row.printed, row.corrected)
-    return [DASH if x is None else f"{x:.4g} {unit}".rstrip() for x in numbers]
+    return [DASH if x is None else f"{x:.4g} {row.unit}".rstrip() for x in numbers]
+
+
+def source_text(source: str, checked: bool) -> str:
+    """A source, and whether it was read."""
+    if checked:
+        return source
+    return f"{source} (source not checked)"
 
 
 def short(text: str) -> str:
@@ -226,16 +204,24 @@ def small(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
+def plain_name(subject: str) -> str:
+    """A limit or failure mode by its own name.
+
+    >>> plain_name("modes.core tension"), plain_name("limits.crushing")
+    ('core tension', 'crushing')
+    """
+    return subject.removeprefix("limits.").removeprefix("modes.")
+
+
 def label(subject: str) -> str:
     """A limit or failure mode by its own name, with a star if its strength is assumed.
 
-    >>> label("limits.crushing"), label("modes.ring crack"), label("")
-    ('crushing', 'ring crack*', 'all failure modes')
+    >>> label("limits.crushing"), label("modes.ring crack")
+    ('crushing', 'ring crack*')
     """
-    kind, _, name = subject.partition(".")
-    if kind == "modes":
-        return f"{name}*"
-    return name or subject or "all failure modes"
+    if subject.startswith("modes."):
+        return f"{plain_name(subject)}*"
+    return plain_name(subject)
 
 
 def is_least(decision: Decision) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import ends_of, label, small, table_of, with_unit
+from uqsphere.report.format import label, small, table_of, with_unit
 from uqsphere.report.pictures import (
     BLUE,
     BROWN,
@@ -89,7 +89,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     """
     answers = table_of(results)
     points = dict[str, list[tuple[Any, ...]]]()
-    for row in answers.rows:
+    for row in answers:
         if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
             points.setdefault(row.subject, []).append((row.at, row.value))
 
@@ -110,14 +110,15 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
             curves.append(Curve(label(subject), x, p, *look))
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:
-            x, p, *_ = _points(decision.curve)
+            x, p, *_ = _ends(decision.curve)
             curves.append(Curve(all_modes(decision), x, p, INK, JOINT))
     return curves
 
 
-def _points(curve: Sequence[CurvePoint]) -> Array:
+def _ends(points: Sequence[CurvePoint]) -> Array:
     """Places, values, lower and upper ends (4, n) of a curve; nan where there is none."""
-    return np.array([[point.at, *ends_of(point)] for point in curve]).T
+    rows = [(point.at, point.value, point.low, point.high) for point in points]
+    return np.array(rows, dtype=float).T
 
 
 def planned_value(free: FreeNumber) -> float | None:
@@ -233,7 +234,7 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
         if not decision.band or not tested or tested[0] not in colours:
             continue
         colour = colours[tested[0]]
-        x, _, low, high = _points(decision.band)
+        x, _, low, high = _ends(decision.band)
         if decision.aim == "break":
             low, high = 1.0 - high, 1.0 - low
         drawn = np.isfinite(low) & np.isfinite(high) & _inside(low, high)

@@ -33,7 +33,7 @@ from uqsphere.models.scene import evaluate_scene, paper_lines, scene_of
 from uqsphere.quantities import format_value, lookup
 from uqsphere.report.figures import COLOURS, Picture, svg
 from uqsphere.report.format import capital
-from uqsphere.report.page import notebook_html
+from uqsphere.report.page import render
 from uqsphere.report.pictures import GREY
 from uqsphere.report.tables import PageTable
 from uqsphere.results.folder import write_files
@@ -55,7 +55,8 @@ class Course(History):
         """What a person asks of the scene, and its figures."""
         rows = history_rows(self.study, self)
         table = PageTable("One impact, every number at its mean", ("", "value"), rows)
-        return notebook_html(self.study.title, [table], _pictures(self.study, self))
+        pictures = _pictures(self.study, self)
+        return render("notebook.html", title=self.study.title, tables=[table], pictures=pictures)
 
 
 def history(

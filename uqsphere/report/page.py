@@ -4,7 +4,7 @@ The page computes nothing: every number is in the results.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,6 @@ FRONT: tuple[str, ...] = ("density-1", "density-2", "sobol")
 LINKED = ("answers.csv", "samples.csv", "results.json", "study.toml")
 
 
-def page(results: Results, files: Sequence[str] = ()) -> str:
-    """The page of a run as one self-contained HTML text, with links to `files` beside it."""
-    return _render(results, pictures_of(results), files)
-
-
 def write_page(folder: Path) -> Path:
     """Write report.html and the figures of a results directory, from what is stored there.
 
@@ -43,28 +38,28 @@ def page_files(results: Results, names: Sequence[str]) -> dict[str, str]:
     pictures = pictures_of(results)
     header = '<?xml version="1.0" encoding="utf-8"?>\n'
     figures = {f"figures/{name}.svg": header + picture.svg for name, picture in pictures.items()}
-    linked = [*(name for name in LINKED if name in names), *figures]
-    return {"report.html": _render(results, pictures, linked), **figures}
+    html = render(
+        "page.html",
+        title=results.study.title,
+        results=results,
+        sentences=sentences,
+        tables=tables,
+        pictures=pictures,
+        first=[name for name in FRONT if name in pictures],
+        files=[*(name for name in LINKED if name in names), *figures],
+    )
+    return {"report.html": html, **figures}
 
 
 def run_html(results: Results) -> str:
     """Decisions, figures and tables of a run, for a notebook's cell."""
     drawn = pictures_of(results)
-    pictures = {name: drawn[name] for name in ("fragility", *FRONT) if name in drawn}
-    shown = (tables.limits(results), tables.quantities(results), tables.indices(results))
-    decisions = sentences.decision_texts(results)
-    return notebook_html(results.study.title, shown, pictures, decisions)
-
-
-def notebook_html(
-    title: str,
-    shown: Sequence[tables.PageTable],
-    pictures: Mapping[str, Picture],
-    decisions: Sequence[sentences.DecisionText] = (),
-) -> str:
-    """Decisions, figures and tables under a title, for a notebook's cell."""
     return render(
-        "notebook.html", title=title, tables=shown, pictures=pictures, decisions=decisions
+        "notebook.html",
+        title=results.study.title,
+        tables=(tables.limits(results), tables.quantities(results), tables.indices(results)),
+        pictures={name: drawn[name] for name in ("fragility", *FRONT) if name in drawn},
+        decisions=sentences.decision_texts(results),
     )
 
 
@@ -83,19 +78,6 @@ def render(template: str, **variables: Any) -> str:
     html = environment.get_template(template).render(**variables)
     # texts only: the places of a path have blanks too
     return re.sub(r">[^<]+<", lambda text: keep_units(text[0]), html)
-
-
-def _render(results: Results, pictures: dict[str, Picture], files: Sequence[str]) -> str:
-    return render(
-        "page.html",
-        title=results.study.title,
-        results=results,
-        sentences=sentences,
-        tables=tables,
-        pictures=pictures,
-        first=[name for name in FRONT if name in pictures],
-        files=files,
-    )
 
 
 # --- HTML -----------------------------------------------------------------------------------------
@@ -125,7 +107,9 @@ def _linked(text: str) -> Markup:
 
 def _inline(picture: Picture, name: str, screen: str = "") -> Markup:
     """An SVG with alternative text, and ids of its own: several stand in one page."""
-    text = re.sub(r'(\bid="|url\(#|href="#)', rf"\1{name}-", picture.svg)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', picture.svg)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
+    text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
     head = f'<svg role="img" aria-label="{escape(picture.text)}" '
     if screen:
         head = head.replace("<svg", f'<svg class="{screen}"', 1)

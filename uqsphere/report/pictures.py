@@ -10,7 +10,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit, format_probability, format_together
-from uqsphere.report.format import ends_of, meaning, short, table_of, with_unit
+from uqsphere.report.format import meaning, short, table_of
 from uqsphere.results.types import Kind, QuantityEntry, Results
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
     """Sobol' indices of some quantities, the inputs in one order: the largest total first."""
     answers = table_of(results)
     inputs = ranked_inputs(results, quantities)[:MOST_INPUTS]
-    names = [_brief(meaning(name, results.inputs)) for name in inputs]
+    names = [_brief(meaning(name)) for name in inputs]
     columns = []
     for quantity in quantities:
         orders = []
@@ -206,7 +206,7 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
             for k, name in enumerate(inputs):
                 row = answers.get(quantity, kind, name)
                 if row is not None:
-                    ends[:, k] = ends_of(row)
+                    ends[:, k] = np.array((row.value, row.low, row.high), dtype=float)
             orders.append(ends)
         if np.isfinite(orders[1][0]).any():
             name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
@@ -265,7 +265,7 @@ def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
     ends = (min(true.min(), predicted.min()), max(true.max(), predicted.max()))
     axes.plot(ends, ends, color=INK, linewidth=0.9)
     axes.plot(true, predicted, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
-    axes.set(xlabel=with_unit("model run", unit), ylabel="predicted")
+    axes.set(xlabel=f"model run [{unit}]".removesuffix(" []"), ylabel="predicted")
     axes.locator_params(nbins=4)
     axes.set_aspect("equal", "box")
 

@@ -3,29 +3,34 @@
 Results hold values and codes; words are made of them here, for page, terminal, compare and sweep.
 """
 
+import math
 import re
 from collections.abc import Sequence
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import chain
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_conservative, format_probability, round_conservative
 from uqsphere.report.format import (
     DASH,
+    Estimated,
     capital,
-    complement,
     is_least,
     meaning,
+    plain_name,
     plain_probability,
     probability,
+    small,
     value,
 )
 from uqsphere.results.types import (
     AccuracyEntry,
+    Aim,
     Caveat,
     CheckEntry,
     Decision,
     Doubt,
+    FreeNumber,
     Range,
     Results,
     Shortfall,
@@ -51,165 +56,84 @@ METHODS = {
 NO_LIMIT = "No limit state is defined; the run reports distributions and sensitivities only."
 
 
+@dataclass(frozen=True)
 class DecisionText:
-    """What a report says of one decision.
+    """What a report says of one decision of a run."""
 
-    aim, verdict : "To survive", and whether it is met
-    gains : what a number of tests would buy, as (tests, number to use)
-    """
-
-    def __init__(self, results: Results, decision: Decision) -> None:
-        self.results, self.decision = results, decision
-        self.free = results.study.free
-        self.least = is_least(decision)
-        self.aim = f"To {decision.aim}"
-        self.verdict = decision.verdict
-        gains = decision.next.gains
-        self.gains = [(f"{gain.tests} tests", self.number(gain.median)) for gain in gains]
+    results: Results
+    decision: Decision
 
     def lines(self) -> list[str]:
         """The text of a terminal: one paragraph a line."""
-        lines = [f"{self.aim}: {self.verdict}. {self.use}. {self.sentence}", self.broken]
+        verdict = self.decision.verdict
+        lines = [f"{self.aim}: {verdict}. {self.use}. {self.sentence}", self.broken]
         if self.open:
             lines.append(f"Open: {'; '.join(self.open)}.")
-        lines.append(f"Next: {self.next}")
-        if self.gains:
-            lines[-1] += " " + "; ".join(f"{tests}: {number}" for tests, number in self.gains) + "."
-        return lines
+        return [*lines, f"Next: {self.next}"]
 
-    def number(self, x: float | None) -> str:
-        """A value of the free number, rounded to its conservative side."""
-        if x is None or self.free is None:
-            return "none"
-        return format_conservative(x, self.free.path, least=self.least)
+    @property
+    def aim(self) -> str:
+        """To survive, or to break."""
+        return f"To {self.decision.aim}"
 
-    def allowed(self, x: float) -> str:
-        return f"at {'least' if self.least else 'most'} {self.number(x)}"
-
-    @cached_property
+    @property
     def use(self) -> str:
-        """The number to use, with its side, "Use at most 0.12 m/s"; or that there is none."""
-        if self.decision.use is not None:
-            assert self.free is not None
-            text = f"Use {self.allowed(self.decision.use.value)}"
-            if self.free.path == "pulse.gain":
+        """The number to use, with its side: "Use at most 0.12 m/s"; or that there is none."""
+        free = self._free
+        if self.decision.use is not None and free is not None:
+            text = f"Use {self._allowed(self.decision.use.value)}"
+            if free.path == "pulse.gain":
                 return f"{text} times the measured pulse"
-            if not self.free.unit:
-                return f"{text} ({self.free.meaning})"
+            if not free.unit:
+                return f"{text} ({free.meaning})"
             return text
-        if self.free is None or self.decision.target is None:
-            p = plain_probability(joint_event(self.decision))
-            return f"{capital(self.event_name())} {p}"
-        if self.kept_everywhere():
-            return f"Use any value between {self.ends()}"
+        if free is None or self.decision.target is None:
+            return f"{capital(self._event)} {plain_probability(joint_event(self.decision))}"
+        if self._kept_everywhere:
+            return f"Use any value between {self._ends}"
         return "No value to use"
 
-    def kept_everywhere(self) -> bool:
-        """Whether every doubt keeps its target in the whole range."""
-        margins = [doubt for doubt in self.decision.doubts if doubt.code != "assumed strength"]
-        return bool(margins) and all(doubt.margin_note == "everywhere" for doubt in margins)
-
-    def ends(self) -> str:
-        """Both ends of the range of the free number."""
-        assert self.free is not None
-        return " and ".join(value(x, self.free.path) for x in (self.free.low, self.free.high))
-
-    @cached_property
+    @property
     def sentence(self) -> str:
         """The sentence to act on, of at most 45 words: what governs the number, its margin to the
         plan, and what else would be allowed.
         """
         decision = self.decision
-        if decision.target is None and decision.use is None:
+        use = decision.use
+        if decision.target is None and use is None:
             return "No target is set."
-        if self.free is None:
-            return f"{self.target()}. Add [margins] for a number to use."
+        if self._free is None:
+            return f"{self._target}. Add [margins] for a number to use."
+        parts = [self._plan(self._free)]
         used = ""
-        if decision.use is None:
-            parts = [self.why_none(), self.plan()]
+        if use is None:
+            parts.insert(0, self._why_none)
         else:
-            used = self.number(decision.use.value)
-            parts = [self.plan(), self.governs()]
-        if decision.own is not None and self.number(decision.own) != used:
-            parts.append(f"By your own limits: {self.allowed(decision.own)}.")
+            used = self._number(use.value)
+            parts.append(self._governs)
+        if decision.own is not None and self._number(decision.own) != used:
+            parts.append(f"By your own limits: {self._allowed(decision.own)}.")
         return " ".join(filter(None, parts))
 
-    def plan(self) -> str:
-        """The planned value, and how it stands to the number to use."""
-        assert self.free is not None
-        planned = self.free.planned
-        use = self.decision.use
-        if planned is None:
-            return ""
-        text = f"Planned {self.free.meaning}: {value(planned, self.free.path)}"
-        if use is None or use.value <= 0.0 or planned <= 0.0:
-            return f"{text}."
-        factor = round_conservative(use.value, use.path, least=self.least) / planned
-        if self.least:
-            factor = 1.0 / factor
-        if factor < 1.0:
-            return f"{text}, no margin."
-        if any(caveat.code in ("model range", "rate") for caveat in self.decision.caveats):
-            return f"{text}."
-        return f"{text}, safety factor {factor:.3g}."
-
-    def governs(self) -> str:
-        """What sets the number to use."""
-        library = self.decision.library
-        text = f"{capital(plain_name(self.decision.governing))} governs"
-        if library is not None:
-            text = f"{text}, with a strength of the library"
-            if library.weak is None or library.strong is None:
-                return f"{text}."
-            weak = self.number(library.weak)
-            strong = self.number(library.strong)
-            return f"{text} (its weak end: {weak}, its strong end: {strong})."
-        for doubt in self.decision.doubts:
-            if doubt.governs:
-                clause = _words(doubt)[0]
-                if doubt.code in ("tests", "computation"):
-                    end = "upper" if self.least else "lower"
-                    clause = f"by the {end} end of {clause.removeprefix('with ')}"
-                return f"{text}, {clause}."
-        return f"{text}."
-
-    def why_none(self) -> str:
-        """Why there is no number to use."""
-        if self.decision.blocked_by:
-            name = plain_name(self.decision.blocked_by)
-            return f"{capital(name)} exceeds its target everywhere between {self.ends()}."
-        if self.kept_everywhere():
-            return "The target is kept in the whole range."
-        return f"The target is not crossed between {self.ends()}."
-
-    def event_name(self) -> str:
-        """What the probability of the decision is of."""
-        governing = self.decision.governing
-        entry = self.results.study.limits.get(plain_name(governing))
-        joint = any(doubt.joint for doubt in self.decision.doubts if doubt.governs)
-        if entry is None or entry.fracture or joint or governing.startswith("modes."):
-            return "fracture probability"
-        return "probability of exceedance"
-
-    @cached_property
+    @property
     def broken(self) -> str:
         """The probability at the plan: by what governs where that is worse, by all modes and by
         the study's limits; and the target.
         """
         decision = self.decision
-        text = capital(self.event_name())
-        if self.free is not None and self.free.planned is not None:
+        text = capital(self._event)
+        if self._free is not None and self._free.planned is not None:
             text += " at the planned value"
-        by_study = as_event(decision, decision.probability)
+        by_study = as_event(decision.aim, decision.probability)
         together = plain_probability(joint_event(decision))
         alone = plain_probability(by_study)
         text += ": "
         computed = (decision.all_modes or decision.probability).value or 0.0
-        for doubt in decision.doubts:
-            governing = plain_probability(as_event(decision, doubt.at_plan))
+        for doubt in self._governing:
+            governing = plain_probability(as_event(decision.aim, doubt.at_plan))
             worse = (doubt.at_plan.value or 0.0) > computed
             open_ends = doubt.code not in ("computation", "assumed strength")
-            if doubt.governs and open_ends and worse and governing != together:
+            if open_ends and worse and governing != together:
                 text += f"{governing} by what governs; as computed, "
         if decision.all_modes is None:
             text += probability(by_study)
@@ -219,50 +143,44 @@ class DecisionText:
             text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
         if decision.target is None:
             return f"{text}."
-        return f"{text}. {self.target()}."
+        return f"{text}. {self._target}."
 
-    def target(self) -> str:
-        target = self.decision.target
-        if target is None:
-            return "No target is set"
-        if self.decision.aim == "break":
-            return f"Target: at least {format_probability(1.0 - target)}"
-        return f"Target: at most {format_probability(target)}"
-
-    @cached_property
+    @property
     def next(self) -> str:
-        """What to do about the doubt that governs."""
-        remedy = self.decision.next
+        """What to do about the doubt that governs, and what numbers of tests would buy."""
+        decision = self.decision
+        remedy = decision.next
         subject = plain_name(remedy.subject)
         if remedy.code == "leave the model's range":
             subject = subject.replace("_", " ")
-            for caveat in self.decision.caveats:
-                at_number = "at the number to use, " in caveat.text.partition(":")[0]
-                if caveat.code == "model range" and at_number and ", not at" not in caveat.text:
+            for caveat in decision.caveats:
+                if re.match("at the (plan and at the )?number to use, ", caveat.text):
                     name = caveat.subject.replace("_", " ")
                     return (
                         f"The number to use lies outside the model's range ({name}): "
                         "test in the machine."
                     )
-        if remedy.code == "widen the range" and self.kept_everywhere():
+        if remedy.code == "widen the range" and self._kept_everywhere:
             return "Widen margins.between to find where the target is missed."
-        tail = "upper" if self.decision.aim == "break" else "lower"
-        text = _REMEDIES[remedy.code].format(subject=subject, tail=tail)
-        if remedy.code == "measure the strength":
-            text = f"Measure the {_strength_name(self.results, remedy.subject)} of this rock"
+        tail = "upper" if decision.aim == "break" else "lower"
+        strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
+        text = _REMEDIES[remedy.code].format(
+            subject=subject,
+            tail=tail,
+            strength=strengths.get(subject, "strength"),
+        )
         if remedy.gains:
-            return f"{text}. The number to use would be about:"
+            gains = [f"{gain.tests} tests: {self._number(gain.median)}" for gain in remedy.gains]
+            return f"{text}. The number to use would be about: {'; '.join(gains)}."
         if remedy.at_best is not None:
-            best = self.number(remedy.at_best)
-            condition = ""
+            text += f"; the number to use would then be {self._number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
-                condition = f", if {subject} never fails"
-            return f"{text}; the number to use would then be {best} at best{condition}."
+                text += f", if {subject} never fails"
         return f"{text}."
 
-    @cached_property
+    @property
     def open(self) -> list[str]:
-        """Why a verdict is not established, and checks that fail."""
+        """Why the verdict is not established, and checks that fail."""
         decision = self.decision
         texts = []
         synthetic = []
@@ -274,7 +192,7 @@ class DecisionText:
         if synthetic:
             texts.append(f"the tests of {listed(synthetic)} are synthetic, not measured")
         if decision.verdict == "undecided":
-            texts += _undecided(decision)
+            texts += self._undecided
         told = {caveat.subject for caveat in decision.caveats}
         for check in self.results.checks:
             if check.grade == "failure" and check.name not in told:
@@ -287,16 +205,125 @@ class DecisionText:
                 text = (
                     f"damage that is not counted: {name} in {p} of the spheres at the planned value"
                 )
-                if doubt.margin is not None and self.free is not None:
-                    at = value(doubt.margin, self.free.path)
+                if doubt.margin is not None and self._free is not None:
+                    at = value(doubt.margin, self._free.path)
                     text += f", in {format_probability(doubt.target)} at {at}"
                 texts.append(f"{text} (analysis.damage_counts = true counts it)")
         return texts
 
+    # --- parts of these sentences -----------------------------------------------------------------
 
-def decision_texts(results: Results) -> list[DecisionText]:
-    """The words of every decision of a run."""
-    return [DecisionText(results, decision) for decision in results.decisions]
+    @property
+    def _free(self) -> FreeNumber | None:
+        return self.results.study.free
+
+    @property
+    def _governing(self) -> list[Doubt]:
+        """The doubt that sets the number to use."""
+        return [doubt for doubt in self.decision.doubts if doubt.governs]
+
+    def _number(self, x: float | None) -> str:
+        """A value of the free number, rounded to its conservative side."""
+        if x is None or self._free is None:
+            return "none"
+        return format_conservative(x, self._free.path, least=is_least(self.decision))
+
+    def _allowed(self, x: float) -> str:
+        return f"at {'least' if is_least(self.decision) else 'most'} {self._number(x)}"
+
+    @property
+    def _kept_everywhere(self) -> bool:
+        """Whether every doubt keeps its target in the whole range."""
+        margins = [doubt for doubt in self.decision.doubts if doubt.code != "assumed strength"]
+        return bool(margins) and all(doubt.margin_note == "everywhere" for doubt in margins)
+
+    @property
+    def _ends(self) -> str:
+        """Both ends of the range of the free number."""
+        assert self._free is not None
+        return " and ".join(value(x, self._free.path) for x in (self._free.low, self._free.high))
+
+    def _plan(self, free: FreeNumber) -> str:
+        """The planned value, and how it stands to the number to use."""
+        planned = free.planned
+        use = self.decision.use
+        if planned is None:
+            return ""
+        text = f"Planned {free.meaning}: {value(planned, free.path)}"
+        if use is not None and use.value > 0.0 and planned > 0.0:
+            least = is_least(self.decision)
+            rounded = round_conservative(use.value, use.path, least=least)
+            factor = rounded / planned
+            if least:
+                factor = planned / rounded
+            unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
+            if factor < 1.0:
+                text += ", no margin"
+            elif not unsafe:
+                text += f", safety factor {factor:.3g}"
+        return f"{text}."
+
+    @property
+    def _governs(self) -> str:
+        """What sets the number to use."""
+        library = self.decision.library
+        text = f"{capital(plain_name(self.decision.governing))} governs"
+        if library is not None:
+            text += ", with a strength of the library"
+            if library.weak is not None and library.strong is not None:
+                weak = self._number(library.weak)
+                strong = self._number(library.strong)
+                text += f" (its weak end: {weak}, its strong end: {strong})"
+            return f"{text}."
+        for doubt in self._governing[:1]:
+            clause = _words(doubt)[0]
+            if doubt.code in ("tests", "computation"):
+                end = "upper" if is_least(self.decision) else "lower"
+                clause = f"by the {end} end of {clause.removeprefix('with ')}"
+            text += f", {clause}"
+        return f"{text}."
+
+    @property
+    def _why_none(self) -> str:
+        """Why there is no number to use."""
+        if self.decision.blocked_by:
+            name = plain_name(self.decision.blocked_by)
+            return f"{capital(name)} exceeds its target everywhere between {self._ends}."
+        if self._kept_everywhere:
+            return "The target is kept in the whole range."
+        return f"The target is not crossed between {self._ends}."
+
+    @property
+    def _event(self) -> str:
+        """What the probability of the decision is of."""
+        governing = self.decision.governing
+        entry = self.results.study.limits.get(governing.removeprefix("limits."))
+        if entry is None or entry.fracture or any(doubt.joint for doubt in self._governing):
+            return "fracture probability"
+        return "probability of exceedance"
+
+    @property
+    def _target(self) -> str:
+        target = self.decision.target
+        if target is None:
+            return "No target is set"
+        if self.decision.aim == "break":
+            return f"Target: at least {format_probability(1.0 - target)}"
+        return f"Target: at most {format_probability(target)}"
+
+    @property
+    def _undecided(self) -> list[str]:
+        """The doubt under which the planned value misses its target by most."""
+        aim = self.decision.aim
+        doubts = [doubt for doubt in self.decision.doubts if doubt.counts and doubt.at_plan.value]
+        if not doubts:
+            return []
+        worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
+        p = plain_probability(as_event(aim, worst.at_plan))
+        name = plain_name(worst.subject)
+        side = "down to" if aim == "break" else "up to"
+        words = f"({name}, {_words(worst)[0]})"
+        return [f"fracture probability at the planned value {side} {p} {words}"]
 
 
 _REMEDIES = {
@@ -307,7 +334,7 @@ _REMEDIES = {
     ),
     "tighten the accuracy": "Run again with a smaller analysis.accuracy.probability",
     "widen the range": "Widen margins.between, or reduce the demand",
-    "measure the strength": "Measure the strength of this rock in {subject}",
+    "measure the strength": "Measure the {strength} ({subject}) of this rock",
     "test more": "Test more spheres for {subject}",
     "test the lower tail": (
         "Test more spheres for {subject}: the {tail} tail of the strength decides"
@@ -320,16 +347,31 @@ _REMEDIES = {
 }
 
 
-def _undecided(decision: Decision) -> list[str]:
-    """The doubt under which the planned value misses its target by most."""
-    doubts = [doubt for doubt in decision.doubts if doubt.counts and doubt.at_plan.value]
-    if not doubts:
-        return []
-    worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
-    p = plain_probability(as_event(decision, worst.at_plan))
-    name = plain_name(worst.subject)
-    side = "down to" if decision.aim == "break" else "up to"
-    return [f"fracture probability at the planned value {side} {p} ({name}, {_words(worst)[0]})"]
+def decision_texts(results: Results) -> list[DecisionText]:
+    """The words of every decision of a run."""
+    return [DecisionText(results, decision) for decision in results.decisions]
+
+
+def joint_event(decision: Decision) -> Estimated:
+    """The probability of exceedance at the plan, by all failure modes."""
+    return as_event(decision.aim, decision.all_modes or decision.probability)
+
+
+def as_event(aim: Aim, p: Estimated) -> Estimated:
+    """A failure probability as that of exceedance: where the aim is to break, the complement; of
+    one that is certain but for the last bit, below that bit.
+
+    >>> as_event("break", Range(value=0.25)).value, as_event("survive", Range(value=0.25)).value
+    (0.75, 0.25)
+    >>> probability(as_event("break", Range(value=1.0)))
+    'below 2.3e-14 %'
+    """
+    if aim == "survive":
+        return p
+    number, high, low = (None if x is None else 1.0 - x for x in (p.value, p.low, p.high))
+    if number == 0.0 and not high:
+        high = math.ulp(1.0)
+    return Range(value=number, low=low, high=high, note=p.note)
 
 
 def limit_notes(results: Results) -> list[str]:
@@ -344,7 +386,7 @@ def limit_notes(results: Results) -> list[str]:
         notes.append(f"strength stated without tests, its uncertainty in no range here: {names}")
     if results.study.modes:
         notes.append("* assumed: library strength, not measured on this rock")
-    damage = damage_modes(results.decisions)
+    damage = _damage_modes(results.decisions)
     if damage:
         notes.append(f"damage, not counted as fracture: {listed(damage)}")
     return notes
@@ -355,10 +397,16 @@ def all_modes(decision: Decision) -> str:
 
     The total may lie below the probability of a mode that is left out.
     """
-    damage = damage_modes([decision])
+    damage = _damage_modes([decision])
     if damage:
         return f"all but {listed(damage)} (damage)"
     return "all failure modes"
+
+
+def _damage_modes(decisions: Sequence[Decision]) -> list[str]:
+    """Failure modes that damage the sphere and are not counted as its fracture."""
+    doubts = chain.from_iterable(decision.doubts for decision in decisions)
+    return [*dict.fromkeys(plain_name(doubt.subject) for doubt in doubts if not doubt.counts)]
 
 
 def listed(words: Sequence[str]) -> str:
@@ -367,47 +415,24 @@ def listed(words: Sequence[str]) -> str:
     >>> listed(["a", "b", "c"]), listed(["a"])
     ('a, b and c', 'a')
     """
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def joint_event(decision: Decision) -> Range:
-    """The probability of exceedance at the plan, by all failure modes."""
-    return as_event(decision, decision.all_modes or decision.probability)
-
-
-def as_event(decision: Decision, p: Range) -> Range:
-    """A failure probability as that of exceedance: where the aim is to break, the complement."""
-    if decision.aim == "break":
-        return complement(p)
-    return p
-
-
-def plain_name(subject: str) -> str:
-    """A limit or failure mode by its own name.
-
-    >>> plain_name("modes.core tension"), plain_name("")
-    ('core tension', 'all failure modes together')
-    """
-    return re.sub(r"^(limits|modes)\.", "", subject) or "all failure modes together"
-
-
-def _strength_name(results: Results, subject: str) -> str:
-    """The property that a strength of the library is: "fracture toughness"."""
-    name = plain_name(subject)
-    entry = results.study.modes.get(name)
-    mode_name = entry.mode if entry else name
-    strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
-    return f"{strengths.get(mode_name, 'strength')} ({name})"
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _words(doubt: Doubt) -> tuple[str, str]:
     """What was considered, in a clause; and the head of its row in the table of what the number
     rests on.
     """
-    family = f"{_family(doubt.option)} distribution"
-    plastic = f"contacts that yield{_further_assumption(doubt)}"
+    distribution = doubt.option.replace("_", " ")
+    if distribution == "draws":
+        distribution = "posterior"
+    elif distribution in ("weibull", "gumbel", "frechet", "rayleigh"):
+        distribution = distribution.capitalize()
+    family = f"{distribution} distribution"
+    plastic = "contacts that yield"
+    if doubt.option and doubt.tests:
+        plastic += f" and what {doubt.tests} tests leave open ({family})"
+    elif doubt.option:
+        plastic += f" and a {family} of the strength"
     transferred = f"strength transferred by {meaning(doubt.option)}"
     words = {
         "computation": (
@@ -441,31 +466,6 @@ def doubt_text(doubt: Doubt) -> str:
     if not doubt.counts:
         return f"{text} (damage, not counted)"
     return text
-
-
-def damage_modes(decisions: Sequence[Decision]) -> list[str]:
-    """Failure modes that damage the sphere and are not counted as its fracture."""
-    doubts = chain.from_iterable(decision.doubts for decision in decisions)
-    return list(dict.fromkeys(plain_name(doubt.subject) for doubt in doubts if not doubt.counts))
-
-
-def _family(option: str) -> str:
-    """A distribution by its name: "Weibull", "lognormal"."""
-    if option == "draws":
-        return "posterior"
-    text = option.replace("_", " ")
-    if text in ("weibull", "gumbel", "frechet", "rayleigh"):
-        return text.capitalize()
-    return text
-
-
-def _further_assumption(doubt: Doubt) -> str:
-    """What is considered of the strength where contacts yield."""
-    if not doubt.option:
-        return ""
-    if doubt.tests:
-        return f" and what {doubt.tests} tests leave open ({_family(doubt.option)} distribution)"
-    return f" and a {_family(doubt.option)} distribution of the strength"
 
 
 def evidence_texts(results: Results) -> list[str]:
@@ -524,5 +524,5 @@ def chart_title(results: Results) -> str:
 
 
 def exceedance_name(results: Results) -> str:
-    """What the probability of a limit is of: "fracture probability"."""
-    return chart_title(results).lower().replace("probability of fracture", "fracture probability")
+    """What the probability of a limit is of."""
+    return small(chart_title(results).replace("Probability of fracture", "Fracture probability"))

@@ -11,8 +11,8 @@ import numpy as np
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.quantities import OUTPUTS, display_unit, format_value, lookup
-from uqsphere.report.format import DASH, short, value, value_range
-from uqsphere.report.page import notebook_html
+from uqsphere.report.format import DASH, short, source_text, value, value_range
+from uqsphere.report.page import render
 from uqsphere.report.tables import PageTable, columns
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
@@ -46,7 +46,8 @@ def described(study: Study) -> str:
 
 def study_html(study: Study) -> str:
     """Inputs and strengths, for a notebook's cell."""
-    return notebook_html("; ".join([study.title, *_ties(study)]), _tables(study), {})
+    title = "; ".join([study.title, *_ties(study)])
+    return render("notebook.html", title=title, tables=_tables(study), pictures={})
 
 
 def _ties(study: Study) -> list[str]:
@@ -88,9 +89,7 @@ def _source(study: Study, name: str) -> str:
     source = study.sources.get(name)
     if source is None:
         return "study"
-    if source.seen:
-        return source.source
-    return f"{source.source} (source not checked)"
+    return source_text(source.source, source.seen)
 
 
 def _range(law: Law, name: str) -> str:
@@ -192,7 +191,7 @@ def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
         return _materials()
-    rows: list[tuple[str, ...]] = [("distribution", "keys")]
+    rows: list[tuple[str, ...]]
     if what == "quantities":
         rows = [("quantity", "unit", "meaning")]
         rows += [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
@@ -200,6 +199,7 @@ def listing(what: str) -> str:
         rows = [("criterion", "meaning")]
         rows += [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
     else:
+        rows = [("distribution", "keys")]
         rows += [(name, law.allowed() or "values, or a file") for name, law in FAMILIES.items()]
     return "\n".join(columns(rows))
 

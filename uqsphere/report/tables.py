@@ -10,7 +10,6 @@ from uqsphere.quantities import format_conservative, format_probability, format_
 from uqsphere.report.format import (
     DASH,
     capital,
-    complement,
     entries_of,
     estimate,
     index,
@@ -20,6 +19,7 @@ from uqsphere.report.format import (
     paper_cells,
     probability,
     short,
+    source_text,
     table_of,
     title_of,
     value,
@@ -44,11 +44,18 @@ from uqsphere.results.types import (
     InputEntry,
     Kind,
     LimitEntry,
+    MarginNote,
     Results,
 )
 
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
+#: where a doubt without a margin stands among margins, and its text
+_WITHOUT_MARGIN: dict[MarginNote, tuple[float, str]] = {
+    "everywhere": (math.inf, "whole range"),
+    "nowhere": (-math.inf, "none"),
+    "": (-math.inf, DASH),
+}
 
 
 class PageTable(NamedTuple):
@@ -110,20 +117,24 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     free = results.study.free
     if free is None:
         return PageTable()
-    least = decision.use is not None and is_least(decision)
+    sign = 1.0
+    if decision.use is not None and is_least(decision):
+        sign = -1.0
 
     def order(doubt: Doubt) -> float:
         if doubt.margin is None:
-            return math.inf if doubt.margin_note == "everywhere" else -math.inf
-        return -doubt.margin if least else doubt.margin
+            return _WITHOUT_MARGIN[doubt.margin_note][0]
+        return sign * doubt.margin
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
-    texts = iter(format_together(_margins(doubts), free.path))
-    notes = {"everywhere": "whole range", "nowhere": "none", "": DASH}
+    margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
+    texts = iter(format_together(margins, free.path))
     rows = []
     for doubt in doubts:
-        margin = notes[doubt.margin_note] if doubt.margin is None else next(texts)
-        at = (probability(as_event(decision, p)) for p in (doubt.at_number, doubt.at_plan))
+        margin = _WITHOUT_MARGIN[doubt.margin_note][1]
+        if doubt.margin is not None:
+            margin = next(texts)
+        at = (probability(as_event(decision.aim, p)) for p in (doubt.at_number, doubt.at_plan))
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results)
     marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
@@ -139,10 +150,6 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         f"{name} at the plan",
     )
     return PageTable(f"To {decision.aim}", head, rows, marked, note)
-
-
-def _margins(doubts: Sequence[Doubt]) -> list[float]:
-    return [doubt.margin for doubt in doubts if doubt.margin is not None]
 
 
 def limits(results: Results) -> PageTable:
@@ -208,13 +215,14 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
     """The free number at the target by the doubts of a limit: its conservative end, and range."""
     for decision in results.decisions:
         doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
-        margins = _margins(doubts)
+        margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
         if any(doubt.margin_note == "nowhere" for doubt in doubts):
             return ["none", DASH]
         if margins:
-            ends = (min(margins), max(margins))
             least = is_least(decision)
-            return [format_conservative(ends[least], path, least=least), value_range(*ends, path)]
+            worst = max(margins) if least else min(margins)
+            number = format_conservative(worst, path, least=least)
+            return [number, value_range(min(margins), max(margins), path)]
         if doubts:
             return ["whole range", DASH]
     return [DASH, DASH]
@@ -226,15 +234,16 @@ def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
     use = decision.use
     rows = list[Sequence[str]]()
     if decision.own is not None and decision.all_modes is not None:
-        p = probability(as_event(decision, decision.probability))
+        p = probability(as_event(decision.aim, decision.probability))
         own = format_conservative(decision.own, path, least=least)
         rows.append(("your own limits", p, "", "", own, "", "", ""))
     if use is not None:
-        together = all_modes(decision).replace("all failure modes", "all together")
-        head = (f"{together}, to {decision.aim}", probability(joint_event(decision)), "")
+        p = probability(joint_event(decision))
         number = format_conservative(use.value, path, least=least)
+        best = value(use.best.value, path)
         span = value_range(use.best.low, use.best.high, path)
-        rows.append((*head, value(use.best.value, path), number, span, "", ""))
+        together = all_modes(decision).replace("all failure modes", "all together")
+        rows.append((f"{together}, to {decision.aim}", p, "", best, number, span, "", ""))
     return rows
 
 
@@ -253,16 +262,15 @@ def assumptions(results: Results) -> PageTable:
     """Fracture probabilities under other assumptions, one at a time."""
     rows = []
     answers = table_of(results)
+    event = exceedance_name(results)
     for subject, entry in entries_of(results).items():
         for row in answers.where(subject, Kind.FAILURE_PROBABILITY):
             _, sign, assumed = str(row.at).partition("assumed: ")
             if sign:
-                event = complement(row) if entry.aim == "break" else row
-                rows.append((label(subject), assumed, probability(event)))
-    name = exceedance_name(results)
+                rows.append((label(subject), assumed, probability(as_event(entry.aim, row))))
     return PageTable(
-        f"{capital(name)} under other assumptions, one at a time, each limit by itself",
-        ("limit", "assumed", name),
+        f"{capital(event)} under other assumptions, one at a time, each limit by itself",
+        ("limit", "assumed", event),
         rows,
     )
 
@@ -276,13 +284,13 @@ def fracture(results: Results) -> PageTable:
     rows = [("fracture probability", probability(joint))]
     for row in answers.where("fracture", Kind.MODE_SHARE):
         rows.append((f"first failure mode: {row.at}", probability(row)))
-    for kind, quantity in (
-        (Kind.TIME_AT_FRACTURE, "contact_duration"),
-        (Kind.FORCE_AT_FRACTURE, "P_max"),
+    for kind, name, quantity in (
+        (Kind.TIME_AT_FRACTURE, "time", "contact_duration"),
+        (Kind.FORCE_AT_FRACTURE, "force", "P_max"),
     ):
         median = answers.get("fracture", kind, 0.5)
         if median is not None:
-            rows.append((f"{kind.replace('_', ' ')}, median", estimate(median, quantity)))
+            rows.append((f"{name} at fracture, median", estimate(median, quantity)))
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),
@@ -300,7 +308,7 @@ def quantities(results: Results) -> PageTable:
     answers = table_of(results)
     rows = []
     entries = results.study.quantities
-    quantiles = (row for name in entries for row in answers.where(name, Kind.QUANTILE))
+    quantiles = [row for name in entries for row in answers.where(name, Kind.QUANTILE)]
     places = dict.fromkeys(float(row.at) for row in quantiles)
     for name, entry in entries.items():
         mean = estimate(answers.get(name, Kind.MEAN), name)
@@ -315,26 +323,32 @@ def quantities(results: Results) -> PageTable:
     )
 
 
+def with_indices(results: Results) -> list[str]:
+    """Quantities that have Sobol' indices."""
+    answers = table_of(results)
+    return [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
+
+
 def indices(results: Results) -> PageTable:
     """First-order and total Sobol' indices: a row an input, the largest total first."""
     answers = table_of(results)
     entries = results.study.quantities
-    names = [name for name in entries if answers.where(name, Kind.SOBOL_TOTAL)]
+    names = with_indices(results)
     ranked = ranked_inputs(results, names)
     orders = list(itertools.product(names, (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)))
     rows = []
     for at in ranked[:MOST_ROWS]:
         cells = (index(answers.get(name, kind, at)) for name, kind in orders)
-        rows.append((meaning(at, results.inputs), *cells))
+        rows.append((meaning(at), *cells))
     if results.study.dependence and not ranked:
         rows.append(("none: tied inputs have no Sobol’ indices", *[DASH] * len(orders)))
-    methods = {METHODS[entries[name].method_of_indices] for name in names} - {""}
+    methods = {METHODS[entries[name].method_of_indices] for name in names}
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
     heads = itertools.product([short(entries[name].meaning) for name in names], "ST")
     return PageTable(
-        f"Sobol’ indices {', '.join(sorted(methods))}".strip(),
+        f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
         ("input", *map(", ".join, heads)),
         rows,
         note=note,
@@ -347,17 +361,16 @@ def margins(results: Results) -> PageTable:
     answers = table_of(results)
     if free is None:
         return PageTable()
-    asked = dict[str, None]()
-    levels = set[float]()
+    asked = dict[str, list[float]]()
     for name in results.study.limits:
         for row in answers.where(f"limits.{name}", Kind.MARGIN):
             if isinstance(row.at, float) and row.value is not None:
-                asked[name] = None
-                levels.add(row.at)
+                asked.setdefault(name, []).append(row.at)
     body = []
-    for p in sorted(levels):
-        margins = (answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
-        body.append((format_probability(p), *(estimate(row, free.path) for row in margins)))
+    for p in sorted({*itertools.chain(*asked.values())}):
+        values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked]
+        cells = [estimate(row, free.path) for row in values]
+        body.append((format_probability(p), *cells))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results)}",
         ("probability", *asked),
@@ -372,12 +385,10 @@ def drivers(results: Results) -> list[PageTable]:
     changes = dict[str, dict[str, str]]()
     points = dict[str, dict[str, str]]()
     for subject, entry in entries_of(results).items():
-        # in per cent; failure is to stay whole for the aim to break
-        unit = -100.0 if entry.aim == "break" else 100.0
-        moved = {
-            _shared_name(row): unit * (row.value or 0.0)
-            for row in answers.where(subject, Kind.DRIVER)
-        }
+        # failure is to stay whole where the aim is to break
+        per_cent = -100.0 if entry.aim == "break" else 100.0
+        rows = answers.where(subject, Kind.DRIVER)
+        moved = {_variable(row): per_cent * (row.value or 0.0) for row in rows}
         most = max(map(abs, moved.values()), default=0.0)
         if most == 0.0:
             continue
@@ -387,15 +398,12 @@ def drivers(results: Results) -> list[PageTable]:
         changes[label(subject)] = {name: format(x, form) for name, x in moved.items()}
         for name, x in moved.items():
             largest[name] = max(largest.get(name, 0.0), abs(x))
-        texts = {}
         for row in answers.where(subject, Kind.DESIGN_POINT):
-            name = _shared_name(row)
-            texts[name] = value(row.value, name or entry.quantity)
-            if not name and entry.tests:
-                # in terms of the test force
-                texts[name] = DASH
-        if texts:
-            points[label(subject)] = texts
+            name = _variable(row)
+            text = value(row.value, name or entry.quantity)
+            if not name and entry.tests:  # in terms of the test force
+                text = DASH
+            points.setdefault(label(subject), {})[name] = text
     ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
     shift = "percentage points per standard deviation shift of the input's mean"
     tables = []
@@ -403,19 +411,21 @@ def drivers(results: Results) -> list[PageTable]:
         (changes, f"Sensitivity of the {exceedance_name(results)}", shift),
         (points, "Most probable failure (design point)", ""),
     ):
-        rows = []
+        body = []
         for name in ranked:
-            head = meaning(name, results.inputs) if name else "strength"
-            rows.append((head, *(column.get(name, DASH) for column in columns.values())))
+            head = meaning(name) if name else "strength"
+            body.append((head, *(column.get(name, DASH) for column in columns.values())))
         if columns:
-            tables.append(PageTable(caption, ("input", *columns), rows, note=note))
+            tables.append(PageTable(caption, ("input", *columns), body, note=note))
     return tables
 
 
-def _shared_name(row: Answer) -> str:
-    """The input of a row; empty for the strength of a limit, which is a row that limits share."""
+def _variable(row: Answer) -> str:
+    """The input of a row; empty for the strength of a limit, a row that all limits share."""
     name = str(row.at)
-    return "" if name.endswith(".strength") else name
+    if name.endswith(".strength"):
+        return ""
+    return name
 
 
 def paper(results: Results) -> PageTable:
@@ -435,11 +445,10 @@ def random_inputs(results: Results) -> PageTable:
     rows = []
     for name, entry in results.inputs.items():
         if not entry.fixed:
-            mean = value(entry.mean, name, 4)
             sd = value(entry.sd, name)
             span = value_range(entry.p05, entry.p95, name)
-            cells = (entry.distribution, mean, sd, span, _source(entry))
-            rows.append((meaning(name, results.inputs), *cells))
+            title, mean, source = _input(name, entry)
+            rows.append((title, entry.distribution, mean, sd, span, source))
     return PageTable(
         "Random inputs",
         ("input", "distribution", "mean", "sd", "5–95 % range", "source"),
@@ -449,17 +458,16 @@ def random_inputs(results: Results) -> PageTable:
 
 def fixed_inputs(results: Results) -> PageTable:
     """Fixed inputs, those of one source together."""
-    rows = [
-        (meaning(name, results.inputs), value(entry.mean, name, 4), _source(entry))
-        for name, entry in results.inputs.items()
-        if entry.fixed
-    ]
+    rows = [_input(name, entry) for name, entry in results.inputs.items() if entry.fixed]
     sources = [source for *_, source in rows]
     rows.sort(key=lambda row: sources.index(row[-1]))
     return PageTable("Fixed inputs", ("input", "value", "source"), rows[:MOST_INPUTS])
 
 
-def _source(entry: InputEntry) -> str:
-    if entry.source_checked:
-        return entry.source
-    return f"{entry.source} (source not checked)"
+def _input(name: str, entry: InputEntry) -> tuple[str, str, str]:
+    """An input's meaning, mean and source."""
+    return (
+        meaning(name),
+        value(entry.mean, name, 4),
+        source_text(entry.source, entry.source_checked),
+    )

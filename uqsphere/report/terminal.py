@@ -69,19 +69,18 @@ def _paper(results: Results) -> list[Sequence[str]]:
     return [row[:3] for row in (paper.head, *paper.rows)]
 
 
-def _quantities(results: Results) -> list[Sequence[str]]:
+def _quantities(results: Results) -> Sequence[Sequence[str]]:
     answers = table_of(results)
     rows = [("quantity", "mean", "5-95 % range")]
     for name, entry in results.study.quantities.items():
         low, _, high = entry.range
         mean = estimate(answers.get(name, Kind.MEAN), name)
         rows.append((short(entry.meaning), mean, value_range(low, high, name)))
-    return [*rows[: ROWS + 1]]
+    return rows[: ROWS + 1]
 
 
 def _indices(results: Results) -> list[Sequence[str]]:
-    answers = table_of(results)
-    names = [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
+    names = tables.with_indices(results)
     rows: list[Sequence[str]] = [("Sobol' index, total", *names[:COLUMNS])]
     for first, *cells in tables.indices(results).rows[:ROWS]:
         totals = cells[1 : 2 * COLUMNS : 2]
