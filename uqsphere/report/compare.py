@@ -12,10 +12,10 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
-from uqsphere.report.format import DASH, change_text, label, meaning, plain_name, value
+from uqsphere.report.format import DASH, change_text, ends_of, label, meaning, plain_name, value
 from uqsphere.report.sentences import DecisionText
 from uqsphere.results import Run
-from uqsphere.results.types import Answer, InputEntry, Kind
+from uqsphere.results.types import Answer, InputEntry, Kind, Range
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,14 +25,14 @@ PROBABILITIES = (Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.MOD
 INDICES = (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
 OF_QUANTITIES = (Kind.MEAN, Kind.SD, Kind.QUANTILE)
 COMPARED = (*PROBABILITIES, *OF_QUANTITIES, Kind.MARGIN, Kind.SAFETY_FACTOR, *INDICES)
-#: relative change that is worth a line
-WORTH = 1e-3
+#: relative change that is worth a line, and such lines at most
+WORTH, MOST = 1e-3, 20
 
 
 class _Change(NamedTuple):
     """An answer of all runs.
 
-    ends : value, low and high of each run (n, 3); nan where there is none
+    ends : value, low and high of each run (3, n); nan where there is none
     change : the largest against the first run, of the run `most`
     """
 
@@ -58,7 +58,7 @@ def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    rows = [(*row[:4], *row.ends[:, 0], row.change, row.significant) for row in _changes(runs)]
+    rows = [(*row[:4], *row.ends[0], row.change, row.significant) for row in _changes(runs)]
     return pd.DataFrame(
         rows, columns=["subject", "answer", "at", "unit", *names, "change", "significant"]
     )
@@ -77,11 +77,9 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes = []
     for (subject, answer, at), rows in sorted(answers.items()):
-        ends = np.full((len(runs), 3), np.nan)
-        for number, row in rows.items():
-            ends[number] = np.array((row.value, row.low, row.high), dtype=float)
-        values = ends[:, 0]
-        half_widths = 0.5 * np.nan_to_num(ends[:, 2] - ends[:, 1])
+        ends = ends_of(rows.get(number) or Range() for number in range(len(runs)))
+        values, low, high = ends
+        half_widths = 0.5 * np.nan_to_num(high - low)
         scale = max(abs(values[0]), half_widths[0])
         if answer in INDICES:
             scale = 1.0
@@ -91,20 +89,21 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
         # a value of exactly 0 has no scale: each change of it is a whole one
         relative = np.nan_to_num(difference / scale if scale else np.sign(difference))
         most = int(abs(relative).argmax())
-        width = math.hypot(half_widths[0], half_widths[most])
-        significant = bool(abs(difference[most]) > width)
+        significant = abs(difference[most]) > math.hypot(half_widths[0], half_widths[most])
         unit = next(iter(rows.values())).unit
-        change = float(relative[most])
-        changes.append(_Change(subject, answer, at, unit, ends, change, most, significant))
+        changes.append(
+            _Change(subject, answer, at, unit, ends, relative[most], most, bool(significant))
+        )
     return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 
-def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -> str:
+def comparison_text(runs: Sequence[Run], names: Sequence[str]) -> str:
     """Decisions, settings that differ, and the answers that changed most, as text."""
     changes = _changes(runs)
-    lines = [f"{name}: {run.results.study.title}" for name, run in zip(names, runs, strict=True)]
-    lines += _decisions(runs, names)
-    settings = _settings(runs, names)
+    named = list(zip(names, runs, strict=True))
+    lines = [f"{name}: {run.results.study.title}" for name, run in named]
+    lines += _decisions(named)
+    settings = _settings(named)
     if settings:
         lines += ["", "settings that differ:", *(f"  {text}" for text in settings)]
     moved = [
@@ -115,24 +114,24 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str], most: int = 20) -
     ]
     sure = [row for row in moved if row.significant]
     if sure:
-        lines += ["", "answers that changed:", *(f"  {_text(row, runs)}" for row in sure[:most])]
-    if len(sure) > most:
-        lines.append(f"  ... {len(sure) - most} more; --csv has all")
+        lines += ["", "answers that changed:", *(f"  {_text(row, runs)}" for row in sure[:MOST])]
+    if len(sure) > MOST:
+        lines.append(f"  ... {len(sure) - MOST} more; --csv has all")
     if len(moved) > len(sure):
         lines.append(f"{len(moved) - len(sure)} more changed by less than their 95 % intervals")
-    if not any(np.isfinite(row.ends[:, 0]).sum() > 1 for row in changes):
+    if not any(np.isfinite(row.ends[0]).sum() > 1 for row in changes):
         lines.append("the runs have no answer in common: compare runs of one study")
     elif not moved:
         lines.append("no answer changed by more than 0.1 %")
     return "\n".join(lines)
 
 
-def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
+def _decisions(named: Sequence[tuple[str, Run]]) -> list[str]:
     """For each aim, the number to use, the verdict and what governs, run by run."""
     lines = []
-    for aim in dict.fromkeys(chain.from_iterable(run.decisions for run in runs)):
+    for aim in dict.fromkeys(chain.from_iterable(run.decisions for _, run in named)):
         lines += ["", f"to {aim}:"]
-        for name, run in zip(names, runs, strict=True):
+        for name, run in named:
             decision = run.decisions.get(aim)
             if decision is None:
                 lines.append(f"  {name}: no limit")
@@ -144,16 +143,16 @@ def _decisions(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
     return lines
 
 
-def _settings(runs: Sequence[Run], names: Sequence[str]) -> list[str]:
+def _settings(named: Sequence[tuple[str, Run]]) -> list[str]:
     """What --set changed, and inputs that differ from those of the first run."""
-    lines = list[str]()
-    first = runs[0].results
-    common = set(first.study.overrides).intersection(*(run.results.study.overrides for run in runs))
-    for name, run in zip(names, runs, strict=True):
+    lines = []
+    common = set.intersection(*(set(run.results.study.overrides) for _, run in named))
+    for name, run in named:
         changed = [text for text in run.results.study.overrides if text not in common]
         if changed:
             lines.append(f"--set {'; '.join(changed)} ({name})")
-    for name, run in zip(names[1:], runs[1:], strict=True):
+    first = named[0][1].results
+    for name, run in named[1:]:
         for path, entry in run.results.inputs.items():
             before = first.inputs.get(path)
             if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):
@@ -173,24 +172,22 @@ def _input(entry: InputEntry | None, path: str) -> str:
 def _text(row: _Change, runs: Sequence[Run]) -> str:
     """An answer of every run, and its largest change."""
     free = runs[0].results.study.free
-    quantity = ""
-    if row.answer in OF_QUANTITIES:
-        quantity = row.subject
-    elif row.answer == Kind.MARGIN and free is not None:
-        quantity = free.path
     texts = []
-    for x in row.ends[:, 0].tolist():
+    ends = row.ends.T.tolist()
+    for x, *_ in ends:
         text = f"{x:.4g}"
         if not math.isfinite(x):
             text = DASH
-        elif quantity:
-            text = format_value(x, quantity)
+        elif row.answer in OF_QUANTITIES:
+            text = format_value(x, row.subject)
+        elif row.answer == Kind.MARGIN and free is not None:
+            text = format_value(x, free.path)
         elif row.answer in PROBABILITIES:
             text = format_probability(x)
         texts.append(text)
     change = f"{row.change:+.2g}"
     if row.answer not in INDICES:
-        change = change_text(*row.ends[[0, row.most]].tolist())
+        change = change_text(ends[0], ends[row.most])
     title = label(row.subject)
     if title == row.subject:
         title = meaning(title)

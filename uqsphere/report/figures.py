@@ -137,12 +137,11 @@ def pictures_of(results: Results) -> dict[str, Picture]:
     columns = indices_of(results, [name for name, _ in quantities[:FIRST]])
     if columns:
         drawn["sobol"] = _sobol(columns)
-    points = convergence_of(results)
-    if points is not None:
-        runs, error = points
-        text = f"Largest error over tolerance, {error[-1]:.2g} at {runs[-1]:,.0f} model runs"
-        edges = (63.0, 80.0, 8.0, 46.0)
-        figure = _placed((420.0, 210.0), edges, draw_convergence, runs, error)
+    sizes = convergence_of(results)
+    if sizes.shape[1] > 1:
+        runs, error = sizes[:, -1]
+        text = f"Largest error over tolerance, {error:.2g} at {runs:,.0f} model runs"
+        figure = _placed((420.0, 210.0), (63.0, 80.0, 8.0, 46.0), draw_convergence, sizes)
         drawn["convergence"] = Picture("Convergence", text, figure)
     for number, (name, entry) in enumerate(quantities[:FIRST], 1):
         if entry.held_out:
@@ -152,8 +151,8 @@ def pictures_of(results: Results) -> dict[str, Picture]:
                 f"{title} as predicted by polynomial chaos against model runs that it was not "
                 f"fitted to; {left} of the variance is not explained"
             )
-            edges = (56.0, 12.0, 8.0, 46.0)
-            figure = _placed((260.0, 210.0), edges, draw_expansion, results, name)
+            size = (260.0, 210.0)
+            figure = _placed(size, (56.0, 12.0, 8.0, 46.0), draw_expansion, results, name)
             drawn[f"expansion-{number}"] = Picture(f"{title}: polynomial chaos", text, figure)
     return drawn
 
@@ -166,15 +165,14 @@ def _fragility(results: Results) -> dict[str, Picture]:
         return {}
     title = chart_title(results)
     texts = [f"{title} over the {free.meaning}"]
-    planned = planned_value(free)
-    if planned is not None:
+    if planned_value(free) is not None:
         answers = table_of(results)
-        shown = {curve.name for curve in curves}
         at_plan: dict[str, Estimated | None] = {
             label(subject): answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
             for subject in entries_of(results)
         }
-        at_plan |= {all_modes(d): joint_event(d) for d in results.decisions}
+        at_plan |= {all_modes(decision): joint_event(decision) for decision in results.decisions}
+        shown = {curve.name for curve in curves}
         for name, p in at_plan.items():
             if name in shown and p is not None:
                 texts.append(f"{name} at the planned value: {probability(p)}")
@@ -182,10 +180,9 @@ def _fragility(results: Results) -> dict[str, Picture]:
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)
     right = min(max(LETTER * letters, 90.0), 190.0) + 12.0
-    edges = (62.0, right, 58.0, 74.0)
-    wide = _placed((822.0, 430.0), edges, draw_fragility, results)
-    edges = (58.0, 92.0, 84.0, 84.0)
-    narrow = _placed((370.0, 430.0), edges, partial(draw_fragility, brief=True), results)
+    brief = partial(draw_fragility, brief=True)
+    wide = _placed((822.0, 430.0), (62.0, right, 58.0, 74.0), draw_fragility, results)
+    narrow = _placed((370.0, 430.0), (58.0, 92.0, 84.0, 84.0), brief, results)
     return {
         "fragility": Picture(title, text, wide),
         "fragility-narrow": Picture(title, text, narrow),
@@ -279,10 +276,10 @@ class Plots:
 
         Raises UsageError for a run of one size.
         """
-        points = convergence_of(self._results)
-        if points is None:
+        sizes = convergence_of(self._results)
+        if sizes.shape[1] < 2:
             raise UsageError("the run has one size of the sample: there is no convergence to plot")
-        return self._on(ax, draw_convergence, *points)
+        return self._on(ax, draw_convergence, sizes)
 
     def _entry(self, quantity: str) -> QuantityEntry:
         quantities = self._results.study.quantities

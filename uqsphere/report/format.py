@@ -2,8 +2,11 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
+import numpy as np
+
+from uqsphere.arrays import Array
 from uqsphere.quantities import (
     format_estimate,
     format_index,
@@ -36,6 +39,12 @@ _SPLIT = re.compile(rf"(?<=\d) (?=(?:%|{_UNITS})(?![\w/]))")
 def table_of(results: Results) -> Answers:
     """The answers of a run, to be looked up."""
     return Answers(results.answers)
+
+
+def ends_of(rows: Iterable[Estimated]) -> Array:
+    """Values, and lower and upper ends, of n answers (3, n); nan where there is none."""
+    ends = [(row.value, row.low, row.high) for row in rows]
+    return np.array(ends, dtype=float).reshape(-1, 3).T
 
 
 def keep_units(text: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import label, small, table_of, with_unit
+from uqsphere.report.format import entries_of, label, plain_name, small, table_of, with_unit
 from uqsphere.report.pictures import (
     BLUE,
     BROWN,
@@ -23,6 +23,7 @@ from uqsphere.report.pictures import (
     GREY,
     INDIGO,
     INK,
+    LEADER,
     LETTER,
     PURPLE,
     RED,
@@ -31,7 +32,7 @@ from uqsphere.report.pictures import (
     write,
 )
 from uqsphere.report.sentences import DecisionText, all_modes
-from uqsphere.results.types import CurvePoint, Decision, FreeNumber, Kind, Results
+from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,10 +89,11 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     grey, one that governs in red.  Of too many, those that are exceeded most often.
     """
     answers = table_of(results)
-    points = dict[str, list[tuple[Any, ...]]]()
-    for row in answers:
-        if row.answer == Kind.CURVE and limit in (None, row.subject.partition(".")[2]):
-            points.setdefault(row.subject, []).append((row.at, row.value))
+    points = {}
+    for subject in entries_of(results):
+        rows = answers.where(subject, Kind.CURVE)
+        if rows and limit in (None, plain_name(subject)):
+            points[subject] = rows
 
     def at_the_plan(subject: str) -> float:
         p = answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
@@ -101,12 +103,12 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = list[Curve]()
-    for subject in points:
+    for subject, rows in points.items():
         if subject in kept:
             look = RED if subject in governing else GREY, ASSUMED
             if subject.startswith("limits."):
                 look = next(hues), LIMIT
-            x, p = np.array(points[subject], dtype=float).T
+            x, p, *_ = _ends(rows)
             curves.append(Curve(label(subject), x, p, *look))
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:
@@ -115,7 +117,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     return curves
 
 
-def _ends(points: Sequence[CurvePoint]) -> Array:
+def _ends(points: Sequence[CurvePoint | Answer]) -> Array:
     """Places, values, lower and upper ends (4, n) of a curve; nan where there is none."""
     rows = [(point.at, point.value, point.low, point.high) for point in points]
     return np.array(rows, dtype=float).T
@@ -229,7 +231,7 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
     limits = results.study.limits
     colours = {curve.name: curve.colour for curve in curves}
     for decision in results.decisions:
-        tested = [name for name in decision.limits if name in limits and limits[name].tests]
+        tested = [name for name in decision.limits if limits[name].tests]
         tested.sort(key=lambda name: f"limits.{name}" != decision.governing)
         if not decision.band or not tested or tested[0] not in colours:
             continue
@@ -294,21 +296,20 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         place = float(axes.transData.transform((at, 0.0))[0])
         width = LETTER * len(text) + 4.0
         # left of the leader; right of it where there is no room
-        start = place - width
         side = "right"
+        start, stop = place - width, place
         gap = -3.0
         if start <= 0.0:
-            start = place
             side = "left"
+            start, stop = place, place + width
             gap = 3.0
-        stop = start + width
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         # a leader crosses the rows between its text and the frame
         ends[:row] = [max(end, place + 3.0) for end in ends[:row]]
-        ends[row:] = [max([stop, *ends[row : row + 1]]), *ends[row + 1 :]]
+        ends[row : row + 1] = [stop]
         height = (9.0 + LINE * row) * sign
         write(axes, text, (at, frame), (gap, height), coordinates, color=colour, ha=side)
-        leader = {"arrowstyle": "-", "color": colour, "lw": 0.9, "shrinkA": 0, "shrinkB": 0}
+        leader = {**LEADER, "color": colour, "lw": 0.9}
         write(axes, "", (at, frame), (0.0, height + 5.0 * sign), coordinates, arrowprops=leader)
     return len(ends)
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit, format_probability, format_together
-from uqsphere.report.format import meaning, short, table_of
-from uqsphere.results.types import Kind, QuantityEntry, Results
+from uqsphere.report.format import ends_of, meaning, short, table_of, with_unit
+from uqsphere.results.types import Kind, QuantityEntry, Range, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +23,8 @@ BROWN, INDIGO = "#7a5500", "#4b5fc1"
 GREY, INK, FAINT = "#656b75", "#1b1f24", "#e6e8eb"
 #: width of a letter at the font size of a picture [points]
 LETTER = 6.4
+#: a line from a text to what it is on
+LEADER = {"arrowstyle": "-", "shrinkA": 0, "shrinkB": 0}
 #: rows of Sobol' indices, letters of a name beside a row, and strengths beside a density
 MOST_INPUTS, MOST_LETTERS, MOST_STRENGTHS = 8, 30, 3
 
@@ -36,8 +38,12 @@ def write(
     **style: Any,
 ) -> None:
     """A text at an offset [points] from a place; it may stand outside the frame."""
-    style = {"va": "center", "annotation_clip": False, **style}
-    axes.annotate(text, place, offset, coordinates, "offset points", **style)
+    defaults: dict[str, Any] = {
+        "va": "center",
+        "annotation_clip": False,
+        "textcoords": "offset points",
+    }
+    axes.annotate(text, place, offset, coordinates, **(defaults | style))
 
 
 def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:
@@ -134,16 +140,9 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     shown -= max(shown[-1] + 0.5 * widths[-1] - high, 0.0)
     for end, place, text, name in zip(ends, shown, texts, ("5 %", "50 %", "95 %"), strict=True):
         axes.vlines(end, 0.0, np.interp(end, x, y), color=BLUE, linewidth=1.0)
-        leader = {"arrowstyle": "-", "color": GREY, "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
-        axes.annotate(
-            "",
-            (end, 0.0),
-            (place, -5.0),
-            "data",
-            ("data", "offset points"),
-            annotation_clip=False,
-            arrowprops=leader,
-        )
+        leader = {**LEADER, "color": GREY, "lw": 0.7}
+        beside = ("data", "offset points")
+        write(axes, "", (end, 0.0), (place, -5.0), textcoords=beside, arrowprops=leader)
         write(axes, text, (place, 0.0), (0.0, -12.0), ha="center", fontweight="bold")
         write(axes, name, (place, 0.0), (0.0, -26.0), ha="center", color=GREY)
 
@@ -202,12 +201,8 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
     for quantity in quantities:
         orders = []
         for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
-            ends = np.full((3, len(inputs)), np.nan)
-            for k, name in enumerate(inputs):
-                row = answers.get(quantity, kind, name)
-                if row is not None:
-                    ends[:, k] = np.array((row.value, row.low, row.high), dtype=float)
-            orders.append(ends)
+            rows = [answers.get(quantity, kind, name) or Range() for name in inputs]
+            orders.append(ends_of(rows))
         if np.isfinite(orders[1][0]).any():
             name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
             columns.append(Indices(name, names, *orders))
@@ -216,11 +211,13 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
 
 def ranked_inputs(results: Results, quantities: Sequence[str]) -> list[str]:
     """Inputs that have an index of a quantity, the largest total index first."""
-    largest: dict[str, float] = {}
-    for row in results.answers:
-        if row.answer == Kind.SOBOL_TOTAL and row.subject in quantities and row.value is not None:
-            largest[str(row.at)] = max(largest.get(str(row.at), 0.0), row.value)
-    return sorted(largest, key=lambda name: -largest[name])
+    rows = [
+        row
+        for row in results.answers
+        if row.answer == Kind.SOBOL_TOTAL and row.subject in quantities and row.value is not None
+    ]
+    rows.sort(key=lambda row: -(row.value or 0.0))
+    return list(dict.fromkeys(str(row.at) for row in rows))
 
 
 def _brief(text: str) -> str:
@@ -265,27 +262,25 @@ def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
     ends = (min(true.min(), predicted.min()), max(true.max(), predicted.max()))
     axes.plot(ends, ends, color=INK, linewidth=0.9)
     axes.plot(true, predicted, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
-    axes.set(xlabel=f"model run [{unit}]".removesuffix(" []"), ylabel="predicted")
+    axes.set(xlabel=with_unit("model run", unit), ylabel="predicted")
     axes.locator_params(nbins=4)
     axes.set_aspect("equal", "box")
 
 
-def convergence_of(results: Results) -> tuple[Array, Array] | None:
-    """Model runs and largest error / tolerance at each size; None for a run of one size."""
+def convergence_of(results: Results) -> Array:
+    """Model runs, and the largest error / tolerance, at each size of the sample (2, n)."""
     rows = [(row.runs, row.error) for row in results.accuracy.reached if row.error]
-    if len(rows) < 2:
-        return None
-    runs, error = np.array(rows, dtype=float).T
-    return runs, error
+    return np.array(rows, dtype=float).reshape(-1, 2).T
 
 
-def draw_convergence(axes: Axes, runs: Array, error: Array) -> None:
-    """The largest error over its tolerance (n,) at each size of the sample (n,), on logarithmic
+def draw_convergence(axes: Axes, sizes: Array) -> None:
+    """The largest error over its tolerance against model runs, see `convergence_of`, on logarithmic
     axes.
     """
+    runs, error = sizes
     axes.loglog(runs, error, "o-", color=BLUE)
     axes.axhline(1.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
     write(axes, "tolerance", (1.0, 1.0), (5.0, 0.0), ("axes fraction", "data"))
     for axis, shown in ((axes.xaxis, runs), (axes.yaxis, error)):
-        plain_logarithms(axis, float(shown.max() / shown.min()))
+        plain_logarithms(axis, shown.max() / shown.min())
     axes.set(xlabel="model runs", ylabel="largest error / tolerance")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -65,17 +66,12 @@ def _ties(study: Study) -> list[str]:
 
 def _tables(study: Study) -> list[PageTable]:
     """Inputs, and strengths where there are limits."""
-    rows: list[tuple[str, ...]] = []
-    numbers: dict[str, float | Law] = {**study.fixed, **study.random}
-    for name, number in numbers.items():
-        if isinstance(number, Law):
-            family = number.family.name.replace("_", " ")
-            mean = value(number.mean(), name, 4)
-            sd = value(number.sd(), name)
-            row = (name, mean, sd, _range(number, name), family)
-        else:
-            row = (name, format_value(number, name), DASH, DASH, "fixed")
-        rows.append((*row, _source(study, name)))
+    rows = list[tuple[str, ...]]()
+    for name, number in study.fixed.items():
+        rows.append((name, format_value(number, name), DASH, DASH, "fixed", _source(study, name)))
+    for name, law in study.random.items():
+        numbers = (value(law.mean(), name, 4), value(law.sd(), name), _range(law, name))
+        rows.append((name, *numbers, _family(law), _source(study, name)))
     head = ("input", "mean", "sd", "5-95 % range", "distribution", "source")
     tables = [PageTable("Inputs", head, rows)]
     if study.limits:
@@ -83,6 +79,10 @@ def _tables(study: Study) -> list[PageTable]:
         rows = [_strength(limit) for limit in study.limits]
         tables.append(PageTable("Strengths", (*head, "demand"), rows))
     return tables
+
+
+def _family(law: Law) -> str:
+    return law.family.name.replace("_", " ")
 
 
 def _source(study: Study, name: str) -> str:
@@ -123,7 +123,7 @@ def _tested(limit: Limit, law: Law) -> str:
 
 def _shape(law: Law) -> str:
     """Family and shape of a strength, with the shape's interval where it was fitted."""
-    text = law.family.name.replace("_", " ")
+    text = _family(law)
     for key, word in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
         if key in law.parameters:
             text += f", {word} {law.parameters[key]:.3g}"
@@ -191,17 +191,15 @@ def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
         return _materials()
-    rows: list[tuple[str, ...]]
-    if what == "quantities":
-        rows = [("quantity", "unit", "meaning")]
-        rows += [(name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items()]
-    elif what == "criteria":
-        rows = [("criterion", "meaning")]
-        rows += [(name, criterion.meaning) for name, criterion in CRITERIA.items()]
-    else:
-        rows = [("distribution", "keys")]
-        rows += [(name, law.allowed() or "values, or a file") for name, law in FAMILIES.items()]
-    return "\n".join(columns(rows))
+    outputs = ((name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items())
+    criteria = ((name, criterion.meaning) for name, criterion in CRITERIA.items())
+    families = ((name, law.allowed() or "values, or a file") for name, law in FAMILIES.items())
+    rows: dict[str, Sequence[tuple[str, ...]]] = {
+        "quantities": [("quantity", "unit", "meaning"), *outputs],
+        "criteria": [("criterion", "meaning"), *criteria],
+        "distributions": [("distribution", "keys"), *families],
+    }
+    return "\n".join(columns(rows[what]))
 
 
 def _materials() -> str:

@@ -85,26 +85,25 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
     combinations = list(itertools.product(*grid.values()))
     if len(combinations) > MOST_POINTS:
         raise UsageError(f"--over gives {len(combinations)} points; at most {MOST_POINTS}")
-    points = []
+    points = dict[str, Point]()
     for texts in combinations:
         values = dict(zip(grid, texts, strict=True))
         study = load([f"{key}={text}" for key, text in values.items()])
-        points.append(Point(values=values, study=study, name=_name(values)))
-    names = [point.name for point in points]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise UsageError(f"--over: two points have the same folder name, {twice[0]}")
+        name = _name(values)
+        if name in points:
+            raise UsageError(f"--over: two points have the same folder name, {name}")
+        points[name] = Point(values=values, study=study, name=name)
     if (folder / "results.json").exists():
         raise FolderError(f"{folder} holds a run; choose another directory with --out")
-    return Sweep(title=points[0].study.title, folder=folder, keys=tuple(grid), points=points)
+    return Sweep(title=study.title, folder=folder, keys=tuple(grid), points=[*points.values()])
 
 
 def _grid(over: Sequence[str]) -> dict[str, list[str]]:
     grid: dict[str, list[str]] = {}
     for text in over:
-        key, sign, listed = map(str.strip, text.partition("="))
+        key, _, listed = map(str.strip, text.partition("="))
         values = [part.strip().strip("\"'") for part in listed.split(",")]
-        if not sign or not key or "" in values:
+        if not key or "" in values:
             raise UsageError(
                 f"--over must be KEY=VALUES, for example "
                 f'target.thickness="10 mm, 15 mm", not {text!r}'
@@ -192,8 +191,8 @@ def run_on_cluster(
             check_owner(sweep.folder / point.name, point.study, fresh=False)
     waiting = {point.name: start(point.study) for point in points}
     while waiting and not stop():
-        for point in [point for point in points if point.name in waiting]:
-            if waiting[point.name].done():
+        for point in points:
+            if point.name in waiting and waiting[point.name].done():
                 try:
                     files = waiting.pop(point.name).result()
                 except UqsphereError:
@@ -251,27 +250,26 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*sweep.keys, *names.split()])
 
 
-def _each(sweep: Sweep, runs: Mapping[str, Run]) -> list[tuple[Point, Results, Decision]]:
+def _each(sweep: Sweep, runs: Mapping[str, Run]) -> Iterator[tuple[Point, Results, Decision]]:
     """Every decision of a point that has run."""
-    return [
-        (point, runs[point.name].results, decision)
-        for point in sweep.points
-        if point.name in runs
-        for decision in runs[point.name].results.decisions
-    ]
+    for point in sweep.points:
+        if point.name in runs:
+            results = runs[point.name].results
+            for decision in results.decisions:
+                yield point, results, decision
 
 
 def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     """One row a point and decision, as text."""
     rows = []
-    name = ""
+    event = ""
     for point, results, decision in _each(sweep, runs):
-        name = exceedance_name(results)
+        event = exceedance_name(results)
         use = DecisionText(results, decision).use
         p = plain_probability(joint_event(decision))
         governs = plain_name(decision.governing)
         rows.append((*point.values.values(), use, p, decision.verdict, governs))
-    head = (*sweep.keys, "decision", f"{name} at the plan", "verdict", "governs")
+    head = (*sweep.keys, "decision", f"{event} at the plan", "verdict", "governs")
     return PageTable("Decisions", head, rows)
 
 
