@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -103,7 +103,7 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str]) -> str:
     named = list(zip(names, runs, strict=True))
     lines = [f"{name}: {run.results.study.title}" for name, run in named]
     lines += _decisions(named)
-    settings = _settings(named)
+    settings = list(_settings(named))
     if settings:
         lines += ["", "settings that differ:", *(f"  {text}" for text in settings)]
     moved = [
@@ -126,38 +126,35 @@ def comparison_text(runs: Sequence[Run], names: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
-def _decisions(named: Sequence[tuple[str, Run]]) -> list[str]:
+def _decisions(named: Sequence[tuple[str, Run]]) -> Iterator[str]:
     """For each aim, the number to use, the verdict and what governs, run by run."""
-    lines = []
     for aim in dict.fromkeys(chain.from_iterable(run.decisions for _, run in named)):
-        lines += ["", f"to {aim}:"]
+        yield ""
+        yield f"to {aim}:"
         for name, run in named:
             decision = run.decisions.get(aim)
             if decision is None:
-                lines.append(f"  {name}: no limit")
+                yield f"  {name}: no limit"
                 continue
             text = DecisionText(run.results, decision)
             governing = plain_name(decision.governing)
-            lines.append(f"  {name}: {text.use}; {decision.verdict}; {governing} governs")
-            lines.append(f"    {text.broken}")
-    return lines
+            yield f"  {name}: {text.use}; {decision.verdict}; {governing} governs"
+            yield f"    {text.broken}"
 
 
-def _settings(named: Sequence[tuple[str, Run]]) -> list[str]:
+def _settings(named: Sequence[tuple[str, Run]]) -> Iterator[str]:
     """What --set changed, and inputs that differ from those of the first run."""
-    lines = []
     common = set.intersection(*(set(run.results.study.overrides) for _, run in named))
     for name, run in named:
         changed = [text for text in run.results.study.overrides if text not in common]
         if changed:
-            lines.append(f"--set {'; '.join(changed)} ({name})")
+            yield f"--set {'; '.join(changed)} ({name})"
     first = named[0][1].results
     for name, run in named[1:]:
         for path, entry in run.results.inputs.items():
             before = first.inputs.get(path)
             if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):
-                lines.append(f"{path}: {_input(before, path)} -> {_input(entry, path)} ({name})")
-    return lines
+                yield f"{path}: {_input(before, path)} -> {_input(entry, path)} ({name})"
 
 
 def _input(entry: InputEntry | None, path: str) -> str:

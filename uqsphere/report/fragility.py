@@ -73,7 +73,8 @@ class Curve(NamedTuple):
         if logarithmic:
             places = np.log(places)
             x = np.log(x)
-        return np.asarray(PchipInterpolator(places, y)(np.clip(x, places[0], places[-1])))
+        scores = PchipInterpolator(places, y)(np.clip(x, places[0], places[-1]))
+        return np.asarray(scores)
 
 
 class _Label(NamedTuple):
@@ -190,17 +191,14 @@ def _ends_of_interest(
     inside = [curve.x[(curve.p > LOWEST) & (curve.p < HIGHEST)] for curve in curves]
     shown = np.concatenate([places, *inside])
     shown = shown[(shown >= free.low) & (shown <= free.high)]
-    if len(shown) < 2 or shown.max() <= shown.min():
-        return free.low, free.high
-    low = shown.min()
-    high = shown.max()
-    if free.low > 0.0:
-        low = low / 1.15
-        high = high * 1.15
-    else:
-        room = 0.04 * (high - low)
-        low = low - room
-        high = high + room
+    low, high = free.low, free.high
+    if len(shown) > 1 and np.ptp(shown) > 0.0:
+        low, high = shown.min(), shown.max()
+        if free.low > 0.0:
+            low, high = low / 1.15, high * 1.15
+        else:
+            room = 0.04 * (high - low)
+            low, high = low - room, high + room
     return max(low, free.low), min(high, free.high)
 
 
@@ -212,8 +210,7 @@ def _draw_curves(
     spaced = np.geomspace if logarithmic else np.linspace
     x = spaced(*axes.get_xlim(), 400)
     bottom, top = axes.get_ylim()
-    above = []
-    right = []
+    above, right = [], []
     for curve in curves:
         y = curve.scores(x / factor, logarithmic=logarithmic)
         dashes, width = curve.style
@@ -282,13 +279,9 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
     """
     from matplotlib.transforms import ScaledTranslation
 
-    frame = 1.0
-    sign = 1.0
-    shift = 0.0
+    frame, sign, shift = 1.0, 1.0, 0.0
     if edge == "below":  # the ticks have their numbers first
-        frame = 0.0
-        sign = -1.0
-        shift = -19.0 / 72.0
+        frame, sign, shift = 0.0, -1.0, -19.0 / 72.0
     moved = ScaledTranslation(0.0, shift, axes.figure.dpi_scale_trans)
     coordinates = axes.get_xaxis_transform() + moved
     ends: list[float] = []
@@ -296,17 +289,13 @@ def _label_edge(axes: Axes, labels: Sequence[_Label], edge: Literal["above", "be
         place = float(axes.transData.transform((at, 0.0))[0])
         width = LETTER * len(text) + 4.0
         # left of the leader; right of it where there is no room
-        side = "right"
-        start, stop = place - width, place
-        gap = -3.0
+        start, side, gap = place - width, "right", -3.0
         if start <= 0.0:
-            side = "left"
-            start, stop = place, place + width
-            gap = 3.0
+            start, side, gap = place, "left", 3.0
         row = next((k for k, end in enumerate(ends) if start > end + 6.0), len(ends))
         # a leader crosses the rows between its text and the frame
         ends[:row] = [max(end, place + 3.0) for end in ends[:row]]
-        ends[row : row + 1] = [stop]
+        ends[row : row + 1] = [start + width]
         height = (9.0 + LINE * row) * sign
         write(axes, text, (at, frame), (gap, height), coordinates, color=colour, ha=side)
         leader = {**LEADER, "color": colour, "lw": 0.9}

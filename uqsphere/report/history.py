@@ -5,7 +5,7 @@ figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
@@ -105,52 +105,53 @@ def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
     """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
     bars.
     """
-    rows = [("mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}")]
+    return list(_rows(study, course))
+
+
+def _rows(study: Study, course: History) -> Iterator[tuple[str, str]]:
+    yield "mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}"
     if RIGS[study.rig].by_wave and math.isfinite(course.pulse_number):
-        rows.append(("theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"))
+        yield "theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"
     scene = scene_of(study, {}, 1)
     names = [name for name in OUTPUTS if not absent_in(scene, name)]
     answers = evaluate_scene(study, (), np.zeros((1, 0)), names)
     for name, number, late in zip(names, answers.values[0], answers.censored[0], strict=True):
         if np.isfinite(number):
-            text = format_value(float(number), name, 5)
-            if late:
-                text = f"more than {text}"
-            rows.append((lookup(name).meaning, text))
+            more = "more than " if late else ""
+            yield lookup(name).meaning, f"{more}{format_value(float(number), name, 5)}"
     for change in course.changes[:6]:
         event = "lost" if change.kind == "lost" else "re-established"
-        rows.append((f"contact {event} at face {change.face}", _when(change.time)))
+        yield f"contact {event} at face {change.face}", _when(change.time)
     if len(course.changes) > 6:
-        rows.append(("further changes of contact", str(len(course.changes) - 6)))
+        yield "further changes of contact", str(len(course.changes) - 6)
     if course.later_peak is not None:
         pressure = format_value(course.later_peak.pressure, "p_max", 5)
         text = f"{pressure} at {_when(course.later_peak.time)}"
-        rows.append(("largest contact pressure after the evaluation window", text))
+        yield "largest contact pressure after the evaluation window", text
     if RIGS[study.rig].by_wave:
         balanced = equilibrium(course)
         text = "always" if balanced == 0.0 else _when(balanced)
-        rows.append(("time to force equilibrium (forces within 5 % of their mean)", text))
+        yield "time to force equilibrium (forces within 5 % of their mean)", text
         for bar in BARS:
             tension = first_tension(course.motion, bar)
             text = "none"
             if tension is not None:
                 text = f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
-            rows.append((f"first tension in the {bar} bar", text))
+            yield f"first tension in the {bar} bar", text
         for record in course.gauges:
             for waves in record.overlaps[:2]:
                 span = f"{_when(waves.begin)} to {_when(waves.end)}"
                 text = f"{waves.first} and {waves.second}, {span}"
-                rows.append((f"waves overlap at the gauge {record.name}", text))
+                yield f"waves overlap at the gauge {record.name}", text
     for line in paper_lines(study):
         corrected = "no value"
         if line.corrected is not None:
             corrected = f"{line.corrected:.4g} {line.unit}".rstrip()
         printed = f"{line.printed:.4g} {line.unit}".rstrip()
         text = f"printed {printed}, corrected {corrected} ({line.note})"
-        rows.append((f"paper: {line.name}", text))
-    rows.append(("end of the evaluation window", _when(course.record_end)))
-    rows.append(("end of the time series", _when(course.horizon)))
-    return rows
+        yield f"paper: {line.name}", text
+    yield "end of the evaluation window", _when(course.record_end)
+    yield "end of the time series", _when(course.horizon)
 
 
 def _when(time: float | None) -> str:

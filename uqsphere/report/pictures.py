@@ -117,7 +117,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     if entry.onset is not None:
         onset = entry.onset * factor
         above = x >= onset
-        share = float(np.trapezoid(y[above], x[above]))
+        share = np.trapezoid(y[above], x[above])
         for check in results.checks:
             if check.name == "dented":
                 share = check.share
@@ -126,8 +126,8 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False)
-    extent = axes.get_window_extent()
-    letter = LETTER * axes.figure.dpi / 72.0 / extent.width * (high - low)
+    width = axes.get_window_extent().width
+    letter = LETTER * axes.figure.dpi / 72.0 / width * (high - low)
     for row, (place, height, text) in enumerate(sorted(names)):
         half = 0.5 * letter * len(text)
         inside = max(min(place, high - half), low + half)
@@ -166,14 +166,12 @@ def _mark_onset(
         high = max(high, place + 0.05 * span)
         axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
     else:
-        text = f"{text} (off the scale)"
-    side = "left"
-    gap = 6.0
+        text += " (off the scale)"
+    side, gap = "left", 6.0
     if place > 0.5 * (low + high):
-        side = "right"
-        gap = -6.0
-    at = max(low, min(place, high))
-    write(axes, text, (at, 1.0), (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
+        side, gap = "right", -6.0
+    at = (np.clip(place, low, high), 1.0)
+    write(axes, text, at, (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
     return low, high
 
 
@@ -229,11 +227,9 @@ def _brief(text: str) -> str:
 def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
     """First-order and total indices, a row an input, with their 95 % intervals."""
     count = len(indices.inputs)
-    for row in range(count):
+    for row, (first, total) in enumerate(zip(indices.first.T, indices.total.T, strict=True)):
         height = count - 1 - row
         axes.axhline(height, color=FAINT, linewidth=0.7, zorder=0)
-        first = indices.first[:, row]
-        total = indices.total[:, row]
         axes.hlines(height, *first[1:], color=INK, linewidth=1.2, zorder=2)
         axes.hlines(height, *total[1:], color=BLUE, linewidth=2.5, zorder=3)
         axes.plot(first[0], height, "o", mfc="none", mec=INK, ms=10, clip_on=False, zorder=4)

@@ -5,7 +5,7 @@ Results hold values and codes; words are made of them here, for page, terminal, 
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -109,9 +109,9 @@ class DecisionText:
         if use is None:
             parts.insert(0, self._why_none)
         else:
-            used = self._number(use.value)
+            used = self.number(use.value)
             parts.append(self._governs)
-        if decision.own is not None and self._number(decision.own) != used:
+        if decision.own is not None and self.number(decision.own) != used:
             parts.append(f"By your own limits: {self._allowed(decision.own)}.")
         return " ".join(filter(None, parts))
 
@@ -170,10 +170,10 @@ class DecisionText:
             strength=strengths.get(subject, "strength"),
         )
         if remedy.gains:
-            gains = [f"{gain.tests} tests: {self._number(gain.median)}" for gain in remedy.gains]
+            gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
             return f"{text}. The number to use would be about: {'; '.join(gains)}."
         if remedy.at_best is not None:
-            text += f"; the number to use would then be {self._number(remedy.at_best)} at best"
+            text += f"; the number to use would then be {self.number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
                 text += f", if {subject} never fails"
         return f"{text}."
@@ -222,14 +222,14 @@ class DecisionText:
         """The doubt that sets the number to use."""
         return [doubt for doubt in self.decision.doubts if doubt.governs]
 
-    def _number(self, x: float | None) -> str:
+    def number(self, x: float | None) -> str:
         """A value of the free number, rounded to its conservative side."""
         if x is None or self._free is None:
             return "none"
         return format_conservative(x, self._free.path, least=is_least(self.decision))
 
     def _allowed(self, x: float) -> str:
-        return f"at {'least' if is_least(self.decision) else 'most'} {self._number(x)}"
+        return f"at {'least' if is_least(self.decision) else 'most'} {self.number(x)}"
 
     @property
     def _kept_everywhere(self) -> bool:
@@ -271,8 +271,8 @@ class DecisionText:
         if library is not None:
             text += ", with a strength of the library"
             if library.weak is not None and library.strong is not None:
-                weak = self._number(library.weak)
-                strong = self._number(library.strong)
+                weak = self.number(library.weak)
+                strong = self.number(library.strong)
                 text += f" (its weak end: {weak}, its strong end: {strong})"
             return f"{text}."
         for doubt in self._governing[:1]:
@@ -374,22 +374,20 @@ def as_event(aim: Aim, p: Estimated) -> Estimated:
     return Range(value=number, low=low, high=high, note=p.note)
 
 
-def limit_notes(results: Results) -> list[str]:
+def limit_notes(results: Results) -> Iterator[str]:
     """What is to be known of the strengths in the table of limits: stated without tests, assumed,
     and damage.
     """
-    notes = []
     entries = results.study.limits.items()
     stated = [name for name, entry in entries if entry.fracture and not entry.tests]
     if stated:
         names = listed(stated)
-        notes.append(f"strength stated without tests, its uncertainty in no range here: {names}")
+        yield f"strength stated without tests, its uncertainty in no range here: {names}"
     if results.study.modes:
-        notes.append("* assumed: library strength, not measured on this rock")
+        yield "* assumed: library strength, not measured on this rock"
     damage = _damage_modes(results.decisions)
     if damage:
-        notes.append(f"damage, not counted as fracture: {listed(damage)}")
-    return notes
+        yield f"damage, not counted as fracture: {listed(damage)}"
 
 
 def all_modes(decision: Decision) -> str:
@@ -468,19 +466,17 @@ def doubt_text(doubt: Doubt) -> str:
     return text
 
 
-def evidence_texts(results: Results) -> list[str]:
+def evidence_texts(results: Results) -> Iterator[str]:
     """What the study's crushing tests say of strengths of the library."""
     refuted = [entry for entry in results.evidence if entry.refuted]
     raised = [entry for entry in results.evidence if not entry.refuted and entry.raised > 1.0]
-    texts = []
     if refuted:
         names = listed([entry.mode for entry in refuted])
         tests = f"your {refuted[0].tests} tests"
-        texts.append(f"Left out, because {tests} refute the library's strength: {names}.")
+        yield f"Left out, because {tests} refute the library's strength: {names}."
     if raised:
         factors = listed([f"{entry.mode} (weak end times {entry.raised:.2g})" for entry in raised])
-        texts.append(f"Library strengths raised to what your tests allow: {factors}.")
-    return texts
+        yield f"Library strengths raised to what your tests allow: {factors}."
 
 
 def caveat_text(caveat: Caveat) -> str:

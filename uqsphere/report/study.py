@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -51,17 +51,12 @@ def study_html(study: Study) -> str:
     return render("notebook.html", title=title, tables=_tables(study), pictures={})
 
 
-def _ties(study: Study) -> list[str]:
-    texts = []
+def _ties(study: Study) -> Iterator[str]:
     for tie in study.dependence:
-        kind = "Spearman"
-        correlation = tie.spearman
+        text = f"Spearman's rank correlation {tie.spearman or 0.0:g}"
         if tie.kendall is not None:
-            kind = "Kendall"
-            correlation = tie.kendall
-        text = f"{kind}'s rank correlation {correlation:g}"
-        texts.append(f"dependence: {', '.join(tie.of)}: {text}")
-    return texts
+            text = f"Kendall's rank correlation {tie.kendall:g}"
+        yield f"dependence: {', '.join(tie.of)}: {text}"
 
 
 def _tables(study: Study) -> list[PageTable]:

@@ -3,10 +3,10 @@
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from uqsphere.quantities import format_conservative, format_probability, format_together
+from uqsphere.quantities import format_probability, format_together
 from uqsphere.report.format import (
     DASH,
     capital,
@@ -28,6 +28,7 @@ from uqsphere.report.format import (
 from uqsphere.report.pictures import ranked_inputs
 from uqsphere.report.sentences import (
     METHODS,
+    DecisionText,
     all_modes,
     as_event,
     doubt_text,
@@ -70,7 +71,7 @@ class PageTable(NamedTuple):
     note: str = ""
 
 
-def columns(rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
+def columns(rows: Sequence[Sequence[str]], width: float = math.inf) -> list[str]:
     """Rows of texts as lines of a terminal, heads first; where that is narrow, heads are broken
     and, if that is not enough, the texts of the first column.
 
@@ -79,7 +80,7 @@ def columns(rows: Sequence[Sequence[str]], width: int | None = None) -> list[str
     """
     table = list(zip(*rows, strict=True))
     widths = [max(map(len, column)) for column in table]
-    room = math.inf if width is None else width - 2 * (len(table) - 1)
+    room = width - 2 * (len(table) - 1)
     if sum(widths) > room:
         for k, (head, *cells) in enumerate(table):
             widths[k] = max(map(len, [*cells, *_pieces(head)]))
@@ -89,24 +90,23 @@ def columns(rows: Sequence[Sequence[str]], width: int | None = None) -> list[str
     for row in rows:
         broken = [_broken(text, w) for text, w in zip(row, widths, strict=True)]
         for line in itertools.zip_longest(*broken, fillvalue=""):
-            padded = (text.ljust(w) for text, w in zip(line, widths, strict=True))
+            padded = (f"{text:{w}}" for text, w in zip(line, widths, strict=True))
             lines.append("  ".join(padded).rstrip())
     return lines
 
 
+#: where a line may break: behind a blank, and between the names in a key
+_BREAK = r"(?<= )|(?<=[._])(?=[A-Za-z])"
+
+
 def _pieces(text: str) -> list[str]:
-    """A text in parts between which a line may break: words, and the names in a key."""
-    return re.split(r"(?<= )|(?<=[._])(?=[A-Za-z])", text)
+    """A text in parts between which a line may break."""
+    return re.split(_BREAK, text)
 
 
 def _broken(text: str, width: int) -> list[str]:
     """A text in lines of a width."""
-    lines = [""]
-    for piece in _pieces(text):
-        if lines[-1] and len((lines[-1] + piece).rstrip()) > width:
-            lines.append("")
-        lines[-1] += piece
-    return [line.rstrip() for line in lines]
+    return [line.rstrip() for line in re.findall(rf"(.{{1,{width}}} ?)(?:{_BREAK}|$)", text)]
 
 
 # --- decisions ------------------------------------------------------------------------------------
@@ -175,10 +175,9 @@ def limits(results: Results) -> PageTable:
             cells += _number_to_use(results, subject, free.path) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
-    if free is not None:
-        for decision in results.decisions:
-            if aims.count(decision.aim) > 1:
-                rows += _joint_rows(decision, free.path)
+    for decision in results.decisions:
+        if aims.count(decision.aim) > 1:
+            rows += _joint_rows(results, decision)
     governing = {decision.governing for decision in results.decisions}
     notes = ["bold: governs"]
     if free is not None:
@@ -203,12 +202,12 @@ def limits(results: Results) -> PageTable:
 
 def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
-    path = free.path
-    outside = f"outside {value(free.low, path)} to {value(free.high, path)}"
-    for row in answers.where(subject, Kind.MARGIN):
-        if isinstance(row.at, float) and abs(row.at - entry.allowable) <= 1e-9:
-            return outside if row.value is None else value(row.value, path)
-    return DASH
+    row = answers.get(subject, Kind.MARGIN, entry.allowable)
+    if row is None:
+        return DASH
+    if row.value is None:
+        return f"outside {value(free.low, free.path)} to {value(free.high, free.path)}"
+    return value(row.value, free.path)
 
 
 def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
@@ -219,32 +218,28 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
         if any(doubt.margin_note == "nowhere" for doubt in doubts):
             return ["none", DASH]
         if margins:
-            least = is_least(decision)
-            worst = max(margins) if least else min(margins)
-            number = format_conservative(worst, path, least=least)
+            worst = max if is_least(decision) else min
+            number = DecisionText(results, decision).number(worst(margins))
             return [number, value_range(min(margins), max(margins), path)]
         if doubts:
             return ["whole range", DASH]
     return [DASH, DASH]
 
 
-def _joint_rows(decision: Decision, path: str) -> list[Sequence[str]]:
+def _joint_rows(results: Results, decision: Decision) -> Iterator[Sequence[str]]:
     """The study's own limits together, and all failure modes, with their numbers to use."""
-    least = is_least(decision)
+    number = DecisionText(results, decision).number
     use = decision.use
-    rows = list[Sequence[str]]()
     if decision.own is not None and decision.all_modes is not None:
         p = probability(as_event(decision.aim, decision.probability))
-        own = format_conservative(decision.own, path, least=least)
-        rows.append(("your own limits", p, "", "", own, "", "", ""))
+        yield "your own limits", p, "", "", number(decision.own), "", "", ""
     if use is not None:
         p = probability(joint_event(decision))
-        number = format_conservative(use.value, path, least=least)
-        best = value(use.best.value, path)
-        span = value_range(use.best.low, use.best.high, path)
+        best = value(use.best.value, use.path)
+        span = value_range(use.best.low, use.best.high, use.path)
         together = all_modes(decision).replace("all failure modes", "all together")
-        rows.append((f"{together}, to {decision.aim}", p, "", best, number, span, "", ""))
-    return rows
+        name = f"{together}, to {decision.aim}"
+        yield name, p, "", best, number(use.value), span, "", ""
 
 
 def _strength_source(entry: LimitEntry) -> str:
@@ -378,7 +373,7 @@ def margins(results: Results) -> PageTable:
     )
 
 
-def drivers(results: Results) -> list[PageTable]:
+def drivers(results: Results) -> Iterator[PageTable]:
     """Sensitivity of each failure probability, and design points: a column a limit."""
     answers = table_of(results)
     largest = dict[str, float]()
@@ -406,7 +401,6 @@ def drivers(results: Results) -> list[PageTable]:
             points.setdefault(label(subject), {})[name] = text
     ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
     shift = "percentage points per standard deviation shift of the input's mean"
-    tables = []
     for columns, caption, note in (
         (changes, f"Sensitivity of the {exceedance_name(results)}", shift),
         (points, "Most probable failure (design point)", ""),
@@ -416,8 +410,7 @@ def drivers(results: Results) -> list[PageTable]:
             head = meaning(name) if name else "strength"
             body.append((head, *(column.get(name, DASH) for column in columns.values())))
         if columns:
-            tables.append(PageTable(caption, ("input", *columns), body, note=note))
-    return tables
+            yield PageTable(caption, ("input", *columns), body, note=note)
 
 
 def _variable(row: Answer) -> str:
