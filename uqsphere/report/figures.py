@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability
-from uqsphere.report.format import (
-    Estimated,
-    entries_of,
-    label,
-    probability,
-    small,
-    table_of,
-    title_of,
-    with_unit,
-)
+from uqsphere.report.format import probability, small, title_of, with_unit
 from uqsphere.report.fragility import curves_of, draw_fragility, planned_value
 from uqsphere.report.pictures import (
     BLUE,
@@ -38,8 +29,8 @@ from uqsphere.report.pictures import (
     quantile_texts,
     varies,
 )
-from uqsphere.report.sentences import all_modes, chart_title, decision_texts, joint_event
-from uqsphere.results.types import Kind, QuantityEntry, Results
+from uqsphere.report.sentences import chart_title, decision_texts
+from uqsphere.results.types import QuantityEntry, Results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,16 +157,8 @@ def _fragility(results: Results) -> dict[str, Picture]:
     title = chart_title(results)
     texts = [f"{title} over the {free.meaning}"]
     if planned_value(free) is not None:
-        answers = table_of(results)
-        at_plan: dict[str, Estimated | None] = {
-            label(subject): answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
-            for subject in entries_of(results)
-        }
-        at_plan |= {all_modes(decision): joint_event(decision) for decision in results.decisions}
-        shown = {curve.name for curve in curves}
-        for name, p in at_plan.items():
-            if name in shown and p is not None:
-                texts.append(f"{name} at the planned value: {probability(p)}")
+        for curve in curves:
+            texts.append(f"{curve.name} at the planned value: {probability(curve.at_plan)}")
     texts += [small(decision.use) for decision in decision_texts(results)]
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)

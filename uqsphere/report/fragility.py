@@ -14,7 +14,15 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import entries_of, label, plain_name, small, table_of, with_unit
+from uqsphere.report.format import (
+    Estimated,
+    entries_of,
+    label,
+    plain_name,
+    small,
+    table_of,
+    with_unit,
+)
 from uqsphere.report.pictures import (
     BLUE,
     BROWN,
@@ -31,7 +39,7 @@ from uqsphere.report.pictures import (
     plain_logarithms,
     write,
 )
-from uqsphere.report.sentences import DecisionText, all_modes
+from uqsphere.report.sentences import DecisionText, all_modes, joint_event
 from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
 
 if TYPE_CHECKING:
@@ -53,6 +61,7 @@ class Curve(NamedTuple):
 
     x : values of the free number (n,) [SI]; p : probabilities (n,)
     style : dashes and width of its line
+    at_plan : the probability at the planned value
     """
 
     name: str
@@ -60,6 +69,7 @@ class Curve(NamedTuple):
     p: Array
     colour: str
     style: tuple[Any, float]
+    at_plan: Estimated | None
 
     def scores(self, x: Array, *, logarithmic: bool) -> Array:
         """Normal scores at places x [SI], by the monotone cubic through its points."""
@@ -90,31 +100,31 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     grey, one that governs in red.  Of too many, those that are exceeded most often.
     """
     answers = table_of(results)
-    points = {}
-    for subject in entries_of(results):
-        rows = answers.where(subject, Kind.CURVE)
-        if rows and limit in (None, plain_name(subject)):
-            points[subject] = rows
+    at_plan = {
+        subject: answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
+        for subject in entries_of(results)
+        if limit in (None, plain_name(subject)) and answers.where(subject, Kind.CURVE)
+    }
 
-    def at_the_plan(subject: str) -> float:
-        p = answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
+    def exceeded(subject: str) -> float:
+        p = at_plan[subject]
         return (p and p.value) or 0.0
 
-    kept = sorted(points, key=at_the_plan, reverse=True)[:MOST_CURVES]
+    kept = sorted(at_plan, key=exceeded, reverse=True)[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = list[Curve]()
-    for subject, rows in points.items():
+    for subject, estimate in at_plan.items():
         if subject in kept:
             look = RED if subject in governing else GREY, ASSUMED
             if subject.startswith("limits."):
                 look = next(hues), LIMIT
-            x, p, *_ = _ends(rows)
-            curves.append(Curve(label(subject), x, p, *look))
+            x, p, *_ = _ends(answers.where(subject, Kind.CURVE))
+            curves.append(Curve(label(subject), x, p, *look, estimate))
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:
             x, p, *_ = _ends(decision.curve)
-            curves.append(Curve(all_modes(decision), x, p, INK, JOINT))
+            curves.append(Curve(all_modes(decision), x, p, INK, JOINT, joint_event(decision)))
     return curves
 
 

@@ -145,8 +145,8 @@ def cost(study: Study) -> str:
         each = study.analysis.cost
         most = f"at most {budget.evaluations:,}"
         if each is not None:
-            seconds = min(each * budget.evaluations, budget.time)
-            most += f" in {seconds:,.0f} s (analysis.cost, analysis.budget)"
+            longest = min(each * budget.evaluations, budget.time)
+            most += f" in {longest:,.0f} s (analysis.cost, analysis.budget)"
         return f"{start}: {most}. A slow model gets one design of fewer runs."
     few = study.analysis.model_copy(
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
@@ -161,12 +161,10 @@ def cost(study: Study) -> str:
     runs, error = tables.reached[-1]
     error = max(error or 0.0, 1.0)
     # the error falls with the runs n as n^(-1) to n^(-3/4)
-    ends = []
-    for power in (1.0, 4.0 / 3.0):
-        needed = min(max(first, runs * error**power), budget.evaluations)
-        seconds = took + needed * each + REPORT_SECONDS
-        ends.append((f"{float(f'{needed:.2g}'):,.0f}", f"{float(f'{seconds:.2g}'):,g}"))
-    total, lasts = (" to ".join(dict.fromkeys(texts)) for texts in zip(*ends, strict=True))
+    needed = np.clip(runs * error ** np.array([1.0, 4.0 / 3.0]), first, budget.evaluations)
+    seconds = took + needed * each + REPORT_SECONDS
+    total = " to ".join(dict.fromkeys(f"{float(f'{count:.2g}'):,.0f}" for count in needed))
+    lasts = " to ".join(dict.fromkeys(f"{float(f'{last:.2g}'):,g}" for last in seconds))
     return f"{start}: about {total} in total, {lasts} s with analysis and report."
 
 
