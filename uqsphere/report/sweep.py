@@ -6,6 +6,7 @@ One table and one chart show the number to use and the probability at the plan, 
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import tempfile
 import threading
@@ -55,13 +56,6 @@ class Point:
     study: Study
     name: str
 
-    def number(self, key: str) -> float | None:
-        """The value of a key [SI]; None for one that is no number of the study."""
-        path = path_of(key)
-        if path in self.study.random:
-            return self.study.random[path].mean()
-        return self.study.fixed.get(path)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
@@ -71,6 +65,11 @@ class Sweep:
     folder: Path
     keys: tuple[str, ...]
     points: Sequence[Point]
+
+    @property
+    def meanings(self) -> list[str]:
+        """What the keys set, in words."""
+        return [short(lookup(path_of(key)).meaning) for key in self.keys]
 
 
 def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]], Study]) -> Sweep:
@@ -82,11 +81,11 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
     invalid, FolderError for a folder that holds something else.
     """
     grid = _grid(over)
-    combinations = list(itertools.product(*grid.values()))
-    if len(combinations) > MOST_POINTS:
-        raise UsageError(f"--over gives {len(combinations)} points; at most {MOST_POINTS}")
+    count = math.prod(map(len, grid.values()))
+    if count > MOST_POINTS:
+        raise UsageError(f"--over gives {count} points; at most {MOST_POINTS}")
     points = dict[str, Point]()
-    for texts in combinations:
+    for texts in itertools.product(*grid.values()):
         values = dict(zip(grid, texts, strict=True))
         study = load([f"{key}={text}" for key, text in values.items()])
         name = _name(values)
@@ -216,15 +215,15 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     html = render(
         "sweep.html",
         title=f"{sweep.title}: sweep",
-        keys=[short(lookup(path_of(key)).meaning) for key in sweep.keys],
+        keys=sweep.meanings,
         done=len(runs),
         planned=len(sweep.points),
         pictures=pictures,
         decisions=_decisions(sweep, runs),
         points=[point.name for point in sweep.points if point.name in runs],
     )
-    figures = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
-    files = {TABLE: frame.to_csv(index=False), "report.html": html, **figures}
+    files = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
+    files |= {TABLE: frame.to_csv(index=False), "report.html": html}
     write_files(sweep.folder, files)
     return sweep.folder / "report.html"
 
@@ -300,7 +299,7 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
     """What is `shown` over the first key: a line for each value of the second, and each aim."""
     key, *others = sweep.keys
     places = _places(sweep)
-    names = [short(lookup(path_of(name)).meaning) for name in sweep.keys]
+    names = sweep.meanings
     if frame["aim"].nunique() > 1:
         others.append("aim")
         names.append("to")
@@ -319,8 +318,11 @@ def _places(sweep: Sweep) -> dict[str, float]:
     other.
     """
     places: dict[str, float] = {}
+    key = sweep.keys[0]
+    path = path_of(key)
     for point in sweep.points:
-        number = point.number(sweep.keys[0])
-        text = point.values[sweep.keys[0]]
-        places.setdefault(text, float(len(places)) if number is None else number)
+        place = point.study.fixed.get(path, float(len(places)))
+        if path in point.study.random:
+            place = point.study.random[path].mean()
+        places.setdefault(point.values[key], place)
     return places
