@@ -136,7 +136,7 @@ def pictures_of(results: Results) -> dict[str, Picture]:
         drawn["convergence"] = Picture("Convergence", text, figure)
     for number, (name, entry) in enumerate(quantities[:FIRST], 1):
         if entry.held_out:
-            title = title_of(name, entry)
+            title = title_of(name)
             left = format_probability(entry.expansion_error)
             text = (
                 f"{title} as predicted by polynomial chaos against model runs that it was not "
@@ -177,7 +177,7 @@ def _density(results: Results, quantity: str, entry: QuantityEntry) -> Picture:
     low, middle, high = quantile_texts(entry, quantity)
     unit = display_unit(quantity, entry.range[1] or 1.0)[0]
     return Picture(
-        with_unit(title_of(quantity, entry), unit),
+        with_unit(title_of(quantity), unit),
         f"Density: 5 % at {low}; 50 % at {middle}; 95 % at {high}",
         _placed((370.0, 190.0), (7.0, 7.0, 4.0, 36.0), draw_density, results, quantity),
     )

@@ -17,15 +17,7 @@ from uqsphere.quantities import (
     lookup,
 )
 from uqsphere.results.answers import Answers
-from uqsphere.results.types import (
-    Answer,
-    Decision,
-    LimitEntry,
-    PaperRow,
-    QuantityEntry,
-    Range,
-    Results,
-)
+from uqsphere.results.types import Answer, Decision, LimitEntry, Range, Results
 from uqsphere.units import UNITS
 
 DASH = "–"
@@ -165,12 +157,6 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text} [{unit}]".removesuffix(" []")
 
 
-def paper_cells(row: PaperRow) -> list[str]:
-    """A number of the paper as printed and as corrected, with its unit."""
-    numbers = (row.printed, row.corrected)
-    return [DASH if x is None else f"{x:.4g} {row.unit}".rstrip() for x in numbers]
-
-
 def source_text(source: str, checked: bool) -> str:
     """A source, and whether it was read."""
     if checked:
@@ -187,9 +173,9 @@ def short(text: str) -> str:
     return text.partition(":")[0]
 
 
-def title_of(name: str, entry: QuantityEntry) -> str:
+def title_of(name: str) -> str:
     """A quantity as a heading: a name of the user's stays as it is."""
-    text = short(entry.meaning)
+    text = meaning(name)
     if text == name:
         return text
     return capital(text)

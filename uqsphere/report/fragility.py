@@ -249,12 +249,11 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
         drawn = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
         edges = special.ndtri(np.clip((low[drawn], high[drawn]), 1e-9, 1.0 - 1e-9))
         axes.fill_between(x[drawn] * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
-        points = np.array(limits[tested[0]].test_points or np.empty((2, 0)))
-        stopped = points[2:].any(axis=0)
-        for chosen, marker, fill in ((~stopped, "o", colour), (stopped, ">", "white")):
-            x, shares = points[:2, chosen]
-            y = special.ndtri(np.clip(shares, LOWEST, HIGHEST))
-            axes.plot(x * factor, y, marker, ms=5, mec=colour, mfc=fill, zorder=5)
+        at, shares, stopped = np.array(limits[tested[0]].test_points or np.empty((3, 0)))
+        y = special.ndtri(np.clip(shares, LOWEST, HIGHEST))
+        for kind, marker, fill in ((0.0, "o", colour), (1.0, ">", "white")):
+            chosen = stopped == kind
+            axes.plot(at[chosen] * factor, y[chosen], marker, ms=5, mec=colour, mfc=fill, zorder=5)
         return
 
 

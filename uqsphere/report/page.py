@@ -3,6 +3,7 @@
 The page computes nothing: every number is in the results.
 """
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from markupsafe import Markup, escape
 from uqsphere.quantities import format_probability
 from uqsphere.report import sentences, tables
 from uqsphere.report.figures import Picture, pictures_of
-from uqsphere.report.format import capital, keep_units, meaning, short
+from uqsphere.report.format import capital, keep_units, meaning
 from uqsphere.results.folder import read_results, write_files
 from uqsphere.results.types import Results
 
@@ -28,8 +29,7 @@ def write_page(folder: Path) -> Path:
 
     Raises FolderError where it holds no results, AccessError where it cannot be written.
     """
-    names = [name for name in LINKED if (folder / name).is_file()]
-    write_files(folder, page_files(read_results(folder), names))
+    write_files(folder, page_files(read_results(folder), os.listdir(folder)))
     return folder / "report.html"
 
 
@@ -73,7 +73,7 @@ def render(template: str, **variables: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    for filter in (_cell, _linked, _inline, capital, meaning, short, format_probability):
+    for filter in (_cell, _linked, _inline, capital, meaning, format_probability):
         environment.filters[filter.__name__.strip("_")] = filter
     html = environment.get_template(template).render(**variables)
     # texts only: the places of a path have blanks too

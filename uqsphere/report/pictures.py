@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.quantities import display_unit, format_probability, format_together
-from uqsphere.report.format import ends_of, meaning, short, table_of, with_unit
+from uqsphere.report.format import ends_of, meaning, table_of, with_unit
 from uqsphere.results.types import Kind, QuantityEntry, Range, Results
 
 if TYPE_CHECKING:
@@ -55,10 +54,7 @@ def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:
     """
     from scipy.optimize import isotonic_regression
 
-    if not len(places):
-        return np.empty(0)
-    steps = [0.5 * (before + after) for before, after in pairwise(widths)]
-    offsets = np.cumsum([0.0, *steps])
+    offsets = np.cumsum(widths) - 0.5 * np.array(widths)
     return np.asarray(isotonic_regression(np.array(places) - offsets).x + offsets)
 
 
@@ -202,7 +198,7 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
             rows = [answers.get(quantity, kind, name) or Range() for name in inputs]
             orders.append(ends_of(rows))
         if np.isfinite(orders[1][0]).any():
-            name = short(results.study.quantities[quantity].meaning).removeprefix("equivalent ")
+            name = meaning(quantity).removeprefix("equivalent ")
             columns.append(Indices(name, names, *orders))
     return columns
 

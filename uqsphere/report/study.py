@@ -1,27 +1,21 @@
 """A study as it was read, and the lists of what there is: what `check` and `list` print."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
-from uqsphere.quantities import OUTPUTS, display_unit, format_value, lookup
-from uqsphere.report.format import DASH, short, source_text, value, value_range
+from uqsphere.quantities import OUTPUTS, display_unit, format_value
+from uqsphere.report.format import DASH, meaning, source_text, value, value_range
 from uqsphere.report.page import render
 from uqsphere.report.tables import PageTable, columns
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
-
-if TYPE_CHECKING:
-    from uqsphere.propagation.design import Design
 
 #: probabilities of the ends of the range that is printed of a random number
 ENDS = np.array([0.05, 0.95])
@@ -96,7 +90,7 @@ def _strength(limit: Limit) -> tuple[str, ...]:
     """A strength as read: its tests, distribution, mean and range, and what it is held against."""
     law = limit.strength
     name = limit.quantity
-    demand = short(lookup(name).meaning)
+    demand = meaning(name)
     if not isinstance(law, Law):
         return limit.name, DASH, DASH, "fixed", format_value(float(law), name), DASH, demand
     tests = str(count_tests(law)) if is_fitted(law) else DASH
@@ -152,7 +146,11 @@ def cost(study: Study) -> str:
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
     )
     design = Design.of(replace(study, analysis=few))
-    each = _seconds_per_run(design)  # compiles the integrator, once
+    names = design.inputs
+    rows = np.concatenate(design.points(4).inputs[..., : len(names)])
+    with Model(design.judged, threads=1) as model:  # compiles the integrator, once
+        model.evaluate(names, rows, design.columns)
+        each = model.seconds_per_row or 0.0
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"), Model(design.judged) as model:
         tables = grow(design, model, seconds=budget.time)
@@ -166,18 +164,6 @@ def cost(study: Study) -> str:
     total = " to ".join(dict.fromkeys(f"{float(f'{count:.2g}'):,.0f}" for count in needed))
     lasts = " to ".join(dict.fromkeys(f"{float(f'{last:.2g}'):,g}" for last in seconds))
     return f"{start}: about {total} in total, {lasts} s with analysis and report."
-
-
-def _seconds_per_run(design: Design) -> float:
-    from uqsphere.models.model import Model
-
-    names = design.inputs
-    rows = np.zeros((1, 0))
-    if names:
-        rows = design.points(4).inputs[:, :, : len(names)].reshape(-1, len(names))
-    with Model(design.judged, threads=1) as model:
-        model.evaluate(names, rows, design.columns)
-        return model.seconds_per_row or 0.0
 
 
 def listing(what: str) -> str:

@@ -16,9 +16,7 @@ from uqsphere.report.format import (
     is_least,
     label,
     meaning,
-    paper_cells,
     probability,
-    short,
     source_text,
     table_of,
     title_of,
@@ -305,11 +303,11 @@ def quantities(results: Results) -> PageTable:
     entries = results.study.quantities
     quantiles = [row for name in entries for row in answers.where(name, Kind.QUANTILE)]
     places = dict.fromkeys(float(row.at) for row in quantiles)
-    for name, entry in entries.items():
+    for name in entries:
         mean = estimate(answers.get(name, Kind.MEAN), name)
         sd = estimate(answers.get(name, Kind.SD), name, 3)
         cells = (estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places)
-        rows.append((title_of(name, entry), mean, sd, *cells))
+        rows.append((title_of(name), mean, sd, *cells))
     return PageTable(
         "Distributions at the plan",
         ("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
@@ -341,7 +339,7 @@ def indices(results: Results) -> PageTable:
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
-    heads = itertools.product([short(entries[name].meaning) for name in names], "ST")
+    heads = itertools.product([meaning(name) for name in names], "ST")
     return PageTable(
         f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
         ("input", *map(", ".join, heads)),
@@ -423,10 +421,17 @@ def _variable(row: Answer) -> str:
 
 def paper(results: Results) -> PageTable:
     """The paper's numbers as printed, beside the corrected ones."""
+    rows = []
+    for row in results.paper:
+        printed, corrected = (
+            DASH if number is None else f"{number:.4g} {row.unit}".rstrip()
+            for number in (row.printed, row.corrected)
+        )
+        rows.append((row.name, printed, corrected, row.note))
     return PageTable(
         "The paper’s formulas, as printed and corrected",
         ("formula of the paper", "printed", "corrected", "what is wrong as printed"),
-        [(row.name, *paper_cells(row), row.note) for row in results.paper],
+        rows,
     )
 
 

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 
 from uqsphere.report import tables
-from uqsphere.report.format import estimate, keep_units, short, table_of, value_range
+from uqsphere.report.format import estimate, keep_units, meaning, table_of, value_range
 from uqsphere.report.sentences import (
     NO_LIMIT,
     accuracy_text,
@@ -75,7 +75,7 @@ def _quantities(results: Results) -> Sequence[Sequence[str]]:
     for name, entry in results.study.quantities.items():
         low, _, high = entry.range
         mean = estimate(answers.get(name, Kind.MEAN), name)
-        rows.append((short(entry.meaning), mean, value_range(low, high, name)))
+        rows.append((meaning(name), mean, value_range(low, high, name)))
     return rows[: ROWS + 1]
 
 
