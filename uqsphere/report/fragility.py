@@ -71,21 +71,6 @@ class Curve(NamedTuple):
     style: tuple[Any, float]
     at_plan: Estimated | None
 
-    def scores(self, x: Array, *, logarithmic: bool) -> Array:
-        """Normal scores at places x [SI], by the monotone cubic through its points."""
-        from scipy.interpolate import PchipInterpolator
-
-        finite = np.isfinite(self.p)
-        if finite.sum() < 2:
-            return np.full(len(x), np.nan)
-        places = self.x[finite]
-        y = special.ndtri(np.clip(self.p[finite], 1e-15, 1.0 - 1e-15))
-        if logarithmic:
-            places = np.log(places)
-            x = np.log(x)
-        scores = PchipInterpolator(places, y)(np.clip(x, places[0], places[-1]))
-        return np.asarray(scores)
-
 
 class _Label(NamedTuple):
     """A text beside the frame, at a place along its edge."""
@@ -215,21 +200,33 @@ def _ends_of_interest(
 def _draw_curves(
     axes: Axes, curves: Sequence[Curve], factor: float
 ) -> tuple[list[_Label], list[_Label]]:
-    """Draw the curves; names of those that leave the frame above, and of those at its right."""
+    """Draw the curves, on normal scores by monotone cubics; names of those that leave the frame
+    above, and of those at its right.
+    """
+    from scipy.interpolate import PchipInterpolator
+
     logarithmic = axes.get_xscale() == "log"
     spaced = np.geomspace if logarithmic else np.linspace
     x = spaced(*axes.get_xlim(), 400)
     bottom, top = axes.get_ylim()
     above, right = [], []
     for curve in curves:
-        y = curve.scores(x / factor, logarithmic=logarithmic)
+        finite = np.isfinite(curve.p)
+        if finite.sum() < 2:
+            continue
+        places = curve.x[finite]
+        at = np.clip(x / factor, places[0], places[-1])
+        if logarithmic:
+            places, at = np.log(places), np.log(at)
+        scores = special.ndtri(np.clip(curve.p[finite], 1e-15, 1.0 - 1e-15))
+        y = PchipInterpolator(places, scores)(at)
         dashes, width = curve.style
         axes.plot(x, y, linestyle=dashes, lw=width, color=curve.colour, zorder=2 + width)
         outside = np.flatnonzero((y[:-1] < top) != (y[1:] < top))
         if bottom < y[-1] < top:
-            right.append(_Label(float(y[-1]), curve.name, curve.colour))
+            right.append(_Label(y[-1], curve.name, curve.colour))
         elif outside.size:
-            above.append(_Label(float(x[outside[0]]), curve.name, curve.colour))
+            above.append(_Label(x[outside[0]], curve.name, curve.colour))
     return above, right
 
 
