@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_closing, maximum_filter, median_filter
+from scipy.ndimage import binary_closing, maximum_filter, median_filter, uniform_filter1d
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
@@ -191,7 +191,7 @@ def _runs(same: Flags) -> tuple[Places, Places]:
 
 def smooth(values: Array, samples: int) -> Array:
     """Running means over so many samples."""
-    return np.convolve(values, np.full(samples, 1.0 / samples), mode="same")
+    return uniform_filter1d(values, samples, mode="constant")
 
 
 class _Stay(NamedTuple):

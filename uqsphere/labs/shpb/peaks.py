@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
 from uqsphere.arrays import Array
@@ -80,9 +80,7 @@ class Force(NamedTuple):
 
     def means(self, samples: int) -> Array:
         """Running means [N] over an odd number of samples, of medians of three."""
-        samples = min(samples, len(self.force) - 1 + len(self.force) % 2)
-        padded = np.pad(self.medians(3), samples // 2, mode="edge")
-        return np.convolve(padded, np.full(samples, 1.0 / samples), mode="valid")
+        return uniform_filter1d(self.medians(3), samples, mode="nearest")
 
 
 class _Top(NamedTuple):

@@ -103,14 +103,12 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
     template = Path(__file__).with_name("sheet.html").read_text("utf-8")
     page = Environment(autoescape=True).from_string(template)
     sheet = page.render(
-        title=asked.title or asked.record.file,
-        source=asked.record.file,
+        test=test,
+        asked=asked,
         rows=rows(test),
         figure=svg(partial(_draw_forces, test=test)),
         bars=bars,
-        changes=test.changes,
         doubted=any(peak.doubts for peak in test.peaks.values()),
-        specimen=asked.specimen.name,
     )
     return {"forces.csv": csv_text(forces), "pulse.csv": csv_text(pulse), "sheet.html": sheet}
 
