@@ -7,7 +7,7 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.mending import Record, Signal, smooth
+from uqsphere.labs.shpb.mending import Record, Signal, note, smooth
 
 #: share of the peak at which an arrival is read, and the time [s] over which it is averaged: to
 #: doubt distances, and to shift a steep wave
@@ -101,7 +101,7 @@ def find_arrivals(record: Record) -> Arrivals:
                 f"the {delay.wave} wave is shifted by {-shift * step * 1e6:.3g} us: it comes "
                 "earlier than the gauge distances predict"
             )
-            signal.changes.add("time shift", text, shift * step, signal.name)
+            note(signal, "time shift", text, shift * step)
         arrivals.append(delay.predicted + shift)
     return Arrivals(arrivals[0], arrivals[1])
 

@@ -88,6 +88,11 @@ class Signal(NamedTuple):
     single: bool = False
 
 
+def note(gauge: Trace | Signal, step: str, text: str, size: float | None = None) -> None:
+    """Note what a step of mending changed at a gauge."""
+    gauge.changes.add(step, text, size, gauge.name)
+
+
 class Record(NamedTuple):
     """Mended signals over even time from `start` [s] on.
 
@@ -268,12 +273,12 @@ def _without_faults(trace: Trace) -> Trace:
     if removed:
         samples = sum(last - first + 1 for first, last, _ in removed)
         first, _, size = max(removed, key=lambda spike: abs(spike[2]))
-        trace.changes.add(
+        note(
+            trace,
             "spikes",
             f"{_counted(len(removed), 'spike')} ({_counted(samples, 'sample')}) removed, the "
             f"largest {size * 1e6:.4g} microstrain at sample {first}",
             size,
-            trace.name,
         )
     known = trace.known.copy()
     head = values[: max(len(values) // 20, _FEWEST)]
@@ -284,12 +289,12 @@ def _without_faults(trace: Trace) -> Trace:
         repeats = _runs(same)[1].max()
         if np.ptp(head) > 0.0 and repeats >= 8 and repeats > 2 * (quiet + 1):
             known &= ~same
-            trace.changes.add(
+            note(
+                trace,
                 "clipped",
                 f"clipped at {extreme * 1e6:.5g} microstrain, {same.sum()} samples: its peak is "
                 "not known",
                 extreme,
-                trace.name,
             )
     return trace._replace(strain=values, known=known)
 
@@ -364,9 +369,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
 
     Raises UsageError for a gauge without a wave or a rest.
     """
-    name = trace.name
     values = trace.strain
-    changes = trace.changes
     places = np.arange(len(values), dtype=float)
     wave = _first_wave(trace, (values - _rest_of(values))[:limit], 0.0)
     early = max(wave.half - 3 * wave.rising, end)
@@ -388,25 +391,27 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
         rest = slice(-max(2 * _BASELINE, len(values) // 20), None)
         if np.ptp(values[rest]) > 0.1 * wave.peak:
             raise UsageError(
-                f"{name}: there is no rest before or after its wave. Was the wave cut out "
+                f"{trace.name}: there is no rest before or after its wave. Was the wave cut out "
                 "(record.aligned = true)?"
             )
         mean = values[rest].mean()
         if abs(np.median(values[:5]) - mean) > 0.1 * wave.peak:
-            raise UsageError(f"{name}: the record begins inside the wave; its beginning is missing")
-        changes.add("baseline", "taken from the end of the record", signal=name)
+            raise UsageError(
+                f"{trace.name}: the record begins inside the wave; its beginning is missing"
+            )
+        note(trace, "baseline", "taken from the end of the record")
         wave = _first_wave(trace, values - mean, 0.0)
     quiet = values[rest]
     place = places[rest]
     away = np.abs(quiet - np.median(quiet))
     burst = away > max(_ODD * _ROBUST * np.median(away), 0.02 * wave.peak)
     if 0 < burst.sum() < len(quiet) // 3:
-        changes.add(
+        note(
+            trace,
             "baseline",
             f"{burst.sum()} samples of trigger noise, up to {away.max() * 1e6:.4g} microstrain, "
             "are left out of the rest",
             away.max(),
-            name,
         )
         quiet = quiet[~burst]
         place = place[~burst]
@@ -414,12 +419,12 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
     mean = quiet.mean()
     offset = noise * math.sqrt(min(1.0, memory / len(quiet)))
     if abs(mean) > 0.005 * wave.peak:
-        changes.add(
+        note(
+            trace,
             "baseline",
             f"a baseline of {mean * 1e6:.4g} microstrain is subtracted "
             f"({abs(mean) / wave.peak:.1%} of the wave)",
             mean,
-            name,
         )
     strain = values - mean
     middle = place.mean()
@@ -428,12 +433,12 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
     if abs(slope) > 5.0 * slope_sd and abs(drift) > 0.01 * wave.peak:
         strain = values - (mean + slope * (places - middle))
         offset = math.hypot(offset, slope_sd * reach)
-        changes.add(
+        note(
+            trace,
             "drift",
             f"a drift of {slope / trace.step * 1e3:.4g} microstrain/ms is subtracted, "
             f"{drift * 1e6:.3g} microstrain in total",
             drift,
-            name,
         )
     spread = np.zeros_like(values)
     return Signal(*trace._replace(strain=strain), noise, offset, spread, wave, memory)
@@ -446,7 +451,7 @@ def _cut_out(trace: Trace) -> Signal:
     noise = _ROBUST * np.median(np.abs(np.diff(values))) / math.sqrt(2.0)
     wave = _first_wave(trace, values, noise)
     text = f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero"
-    trace.changes.add("baseline", text, start, trace.name)
+    note(trace, "baseline", text, start)
     spread = np.zeros_like(values)
     return Signal(*trace._replace(strain=values), noise, 0.01 * wave.peak, spread, wave)
 
@@ -468,7 +473,7 @@ def _joined(gauges: list[Signal], limit: int) -> Signal:
             alive.append(gauge)
         else:
             text = f"records {share:.1%} of the wave of its partner and is left out"
-            gauge.changes.add("gauges", text, signal=gauge.name)
+            note(gauge, "gauges", text)
     if len(alive) == 1:
         return alive[0]._replace(single=len(gauges) > 1)
     first = min(gauge.wave.foot for gauge in alive)
@@ -494,5 +499,5 @@ def _joined(gauges: list[Signal], limit: int) -> Signal:
     wave = _first_wave(joined, mean[:limit], noise)
     bending = spread[wave.foot : wave.end + 1].max()
     text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
-    joined.changes.add("gauges", text, bending, joined.name)
+    note(joined, "gauges", text, bending)
     return joined._replace(wave=wave)

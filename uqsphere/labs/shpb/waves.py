@@ -28,7 +28,7 @@ from uqsphere.labs.shpb.doubts import (
     check_specimen,
     check_striker,
 )
-from uqsphere.labs.shpb.mending import Record, Signal, smooth
+from uqsphere.labs.shpb.mending import Record, Signal, note, smooth
 from uqsphere.labs.shpb.peaks import Force, Peak, Peaks, largest_force
 from uqsphere.labs.shpb.recorder import Changes
 from uqsphere.mechanics.bars import correct
@@ -165,7 +165,7 @@ def read_test(record: Record) -> Reading:
                 "the incident wave is longer than its way to the face and back: A is known from "
                 f"{window.apart.start * step * 1e6:.4g} to {window.apart.stop * step * 1e6:.4g} us"
             )
-            before.changes.add("overlap", text, signal=before.name)
+            note(before, "overlap", text)
     check_striker(peaks, before, asked.striker_speed)
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
     notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
@@ -296,7 +296,7 @@ def _at_face(signal: Signal, first: float, count: int, moves: bool) -> Array:
     largest = np.abs(moved - wave).max()
     share = largest / max(np.abs(wave).max(), 1e-300)
     text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
-    signal.changes.add("dispersion", text, largest, signal.name)
+    note(signal, "dispersion", text, largest)
     return moved
 
 
@@ -328,7 +328,7 @@ def _near_face(
         body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
         if reflected[body].mean() <= 0.0:
             text = "has the sign of the incident wave; it is taken as tension"
-            after.changes.add("sign", text, signal=after.name)
+            note(after, "sign", text)
             force = -bar.stiffness * (incident + reflected)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
