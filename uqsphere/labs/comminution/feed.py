@@ -213,7 +213,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         fineness = laws.t10(offered, product.A, product.b)
         alpha = np.full(1, product.alpha)
         if isinstance(product.alpha, Lognormal):
-            scatter = product.alpha.log_sd * rng.standard_normal(len(posterior))
+            scatter = product.alpha.log_sd * rng.standard_normal(len(posterior.law))
             alpha = np.exp(product.alpha.log_mean + scatter)
         # share of the fragments of a class that passes a sieve, (D or 1, S, K)
         ratio = sizes / sieves[:, None]

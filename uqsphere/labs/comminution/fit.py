@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,8 +67,7 @@ class EnergyModel(NamedTuple):
         return np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Posterior:
+class Posterior(NamedTuple):
     """Draws (D,) of a law and its size effect; averaged laws share them by their weights.
 
     law : (D,) index into `models`.
@@ -84,18 +82,15 @@ class Posterior:
     tested: tuple[float, float]
     tests: int
 
-    def __len__(self) -> int:
-        return len(self.law)
-
     def at(self, rows: Places) -> Posterior:
         """Some of the draws."""
         parameters = {name: values[rows] for name, values in self.parameters.items()}
-        return replace(self, law=self.law[rows], parameters=parameters)
+        return self._replace(law=self.law[rows], parameters=parameters)
 
     def thin(self, count: int) -> Posterior:
         """About so many draws, evenly."""
-        every = np.linspace(0, len(self) - 1, min(count, len(self)))
-        return self.at(np.unique(every.astype(int)))
+        draws = len(self.law)
+        return self.at(np.unique(np.linspace(0, draws - 1, min(count, draws)).astype(int)))
 
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""
@@ -112,7 +107,7 @@ class Posterior:
     def _each(self, diameter: Values, values: Values, function: Callable[..., Array]) -> Array:
         """A function of law, value, median, shape and ratio for every draw and diameter."""
         diameter = np.atleast_1d(diameter)
-        answers = np.empty((len(self), len(diameter)))
+        answers = np.empty((len(self.law), len(diameter)))
         values = np.broadcast_to(values, answers.shape)
         for k, model in enumerate(self.models):
             rows = np.flatnonzero(self.law == k)

@@ -21,14 +21,14 @@ _STEEP = 0.05
 
 
 class Arrivals(NamedTuple):
-    """Delays of the reflected and the transmitted wave behind the incident one, in samples.
+    """Samples of first touch in the reflected and the transmitted wave at their gauges.
 
     doubt_a, doubt_b : why the distance to a face is doubted, empty without a doubt.
     speed_ratio : wave speed that the reflected wave shows over that of the bar; 1 without a doubt.
     """
 
-    reflected: float
-    transmitted: float
+    to_a: float
+    to_b: float
     doubt_a: str = ""
     doubt_b: str = ""
     speed_ratio: float = 1.0
@@ -59,8 +59,7 @@ def find_arrivals(record: Record) -> Arrivals:
     bar = incident.bar
     behind = receiving.bar
     if record.document.record.aligned:
-        first = wave.start
-        return Arrivals(record.reflected.wave.start - first, receiving.wave.start - first)
+        return Arrivals(record.reflected.wave.start, receiving.wave.start)
     predicted = (2.0 * bar.passage / step, (bar.passage + behind.passage) / step)
     back, there = _delays(record, predicted, *_SURE)
     steep = wave.rising
@@ -90,7 +89,10 @@ def find_arrivals(record: Record) -> Arrivals:
         if there.late < 0.0:
             doubt_a = doubt_a or doubt_b
     if doubt_a or doubt_b or steep >= _STEEP * back.predicted:
-        return Arrivals(*predicted, doubt_a, doubt_b, speed_ratio)
+        to_b = wave.start + there.predicted
+        if doubt_b:  # a wave whose distance is wrong begins at its own foot
+            to_b = receiving.wave.foot - receiving.wave.lead
+        return Arrivals(wave.start + back.predicted, to_b, doubt_a, doubt_b, speed_ratio)
     arrivals = []
     delays = _delays(record, predicted, *_FINE)
     for signal, delay in zip((record.reflected, receiving), delays, strict=True):
@@ -102,7 +104,7 @@ def find_arrivals(record: Record) -> Arrivals:
                 "earlier than the gauge distances predict"
             )
             note(signal, "time shift", text, shift * step)
-        arrivals.append(delay.predicted + shift)
+        arrivals.append(wave.start + (delay.predicted + shift))
     return Arrivals(arrivals[0], arrivals[1])
 
 

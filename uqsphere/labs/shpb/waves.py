@@ -198,18 +198,13 @@ def _window(record: Record, arrivals: Arrivals) -> _Window:
     receiving = record.receiving
     wave = incident.wave
     aligned = record.document.record.aligned
-    # first touch; a wave whose distance is wrong begins at its own foot
-    to_a = wave.start + arrivals.reflected
-    to_b = wave.start + arrivals.transmitted
-    if arrivals.doubt_b:
-        to_b = receiving.wave.foot - receiving.wave.lead
-    count = _known_samples(receiving, int(to_b), aligned)
+    count = _known_samples(receiving, int(arrivals.to_b), aligned)
     if count < _FEWEST:
         raise UsageError(
             f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: the record "
             "ends too early, or an echo or a gap comes before"
         )
-    count_a = _known_samples(record.reflected, int(to_a), aligned)
+    count_a = _known_samples(record.reflected, int(arrivals.to_a), aligned)
     # samples between both waves at a gauge that they share, and those in which they are apart
     delay = math.inf
     if record.shared:
@@ -237,8 +232,8 @@ def _window(record: Record, arrivals: Arrivals) -> _Window:
     return _Window(
         start=wave.start,
         alive=int(min(count, delay, len(incident.strain) - wave.start)),
-        to_a=to_a,
-        to_b=to_b,
+        to_a=arrivals.to_a,
+        to_b=arrivals.to_b,
         length=count,
         apart=slice(first, min(last, count)),
         withheld=[f"force at A: {reason}" for reason in reasons],
