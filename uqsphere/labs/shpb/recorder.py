@@ -248,6 +248,14 @@ class Column(NamedTuple):
         return self.checked() * UNITS["time"].get(self.unit(unit)[1] or "s", math.nan)
 
 
+class Recorded(NamedTuple):
+    """A file of a recorder; `above`: the text above its numbers."""
+
+    table: Table
+    columns: list[Column]
+    above: str
+
+
 def read_traces(
     document: RecordDocument, folder: Path, changes: Changes
 ) -> tuple[float, dict[str, list[Trace]]]:
@@ -256,26 +264,25 @@ def read_traces(
     Raises UsageError for columns, units or a clock that cannot be those of a record.
     """
     asked = document.record
-    files = list[list[Column]]()
-    metadata = []
+    files = []
     for file in (asked.file, *asked.more_files):
         table, above = read_recorded(folder / file, _LARGEST)
         for note in table.notes:
             changes.add("read", note)
-        files.append([])
+        columns = []
         for heading in table.headings:
             table.faults = {}
             values = table.numbers(heading, blank=True)
-            files[-1].append(Column(replace(table), heading, values))
-        metadata.append(above)
-    time, place = _clock(asked, files, metadata[0], changes)
+            columns.append(Column(replace(table), heading, values))
+        files.append(Recorded(table, columns, above))
+    time, place = _clock(asked, files, changes)
     time = _common(time, place, files, asked.time_unit, changes)
     traces = []
-    for role, columns in _by_role(asked, files, place, time).items():
+    for role, gauges in _by_role(asked, files, place, time).items():
         bar = document.incident_bar
         if role == "receiving":
             bar = document.receiving_bar
-        for column in columns:
+        for column in gauges:
             name = column.name
             if len(files) > 1:
                 name = f"{Path(column.table.name).stem} {name}"
@@ -287,25 +294,21 @@ def read_traces(
 # --- time -----------------------------------------------------------------------------------------
 
 
-def _clock(
-    asked: RecordTable, files: list[list[Column]], metadata: str, changes: Changes
-) -> tuple[Array, int]:
+def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple[Array, int]:
     """The time (n,) [s] of the first file and the place of its column, -1 without one.
 
     Refused is a time of too few samples, that falls, or that lasts too long.
     """
-    columns = files[0]
-    table = columns[0].table
+    table, columns, above = files[0]
     guessed = asked.time is None
     interval = asked.sample_interval or 0.0
     if not interval and not columns[0].rises and len(files) == 1:
-        interval = _interval(metadata)
+        interval = _interval(above)
     if guessed and interval > 0.0:
         changes.add("read", f"no time column: a sample every {interval * 1e6:.6g} us")
         return interval * np.arange(len(table), dtype=float), -1
     place = table.place(asked.time or 1)
     column = columns[place]
-    name = table.name
     dimension, unit = column.unit(asked.time_unit)
 
     def other_column() -> UsageError:
@@ -313,7 +316,7 @@ def _clock(
         rising = [column.name for column in columns if column.rises]
         if rising:
             hint = f'column {rising[0]!r} does: record.time = "{rising[0]}"'
-        return UsageError(f"{name}: column {column.name!r} does not rise like a time; {hint}")
+        return UsageError(f"{table.name}: column {column.name!r} does not rise like a time; {hint}")
 
     alone = len(columns) > 2 and len(files) == 1
     if guessed and (dimension in ("strain", "voltage") or not (alone or column.rises)):
@@ -331,20 +334,20 @@ def _clock(
     good = time[np.isfinite(time)]
     if len(good) < _FEWEST:
         raise UsageError(
-            f"{name}: {len(good)} samples with a time; a record has at least {_FEWEST}"
+            f"{table.name}: {len(good)} samples with a time; a record has at least {_FEWEST}"
         )
     falls = np.diff(good) < 0.0
     if guessed and falls.mean() > 0.01:
         raise other_column()
     if falls.any():
         raise UsageError(
-            f"{name}: time falls at sample {np.argmax(falls) + 2}. Does the file contain "
+            f"{table.name}: time falls at sample {np.argmax(falls) + 2}. Does the file contain "
             "several records?"
         )
     lasts = good[-1] - good[0]
     if lasts > _LONGEST:
         raise UsageError(
-            f"{name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?"
+            f"{table.name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?"
         )
     return time, place
 
@@ -361,13 +364,10 @@ def _interval(text: str) -> float:
     return 0.0
 
 
-def _common(
-    time: Array, place: int, files: list[list[Column]], unit: str, changes: Changes
-) -> Array:
+def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: Changes) -> Array:
     """The time that all files have; UsageError for files that do not have the same clock."""
     count = len(time)
-    for columns in files[1:]:
-        table = columns[0].table
+    for table, columns, _ in files[1:]:
         count = min(count, len(table))
         if len(columns) <= place:
             raise UsageError(
@@ -377,7 +377,7 @@ def _common(
             apart = np.abs(columns[place].in_seconds(unit)[:count] - time[:count])
             if not np.nanmax(apart, initial=0.0) <= 0.5 * _step(time):
                 raise UsageError(
-                    f"{table.name}: its clock differs from that of {files[0][0].table.name}. Write "
+                    f"{table.name}: its clock differs from that of {files[0].table.name}. Write "
                     "both channels with one clock"
                 )
         if len(table) != len(time):
@@ -395,7 +395,7 @@ def _step(time: Array) -> float:
 
 
 def _by_role(
-    asked: RecordTable, files: list[list[Column]], clock: int, time: Array
+    asked: RecordTable, files: list[Recorded], clock: int, time: Array
 ) -> dict[str, list[Column]]:
     """The columns of the incident, the reflected and the receiving gauges.
 
@@ -405,11 +405,10 @@ def _by_role(
 
     def named(name: str | int) -> Column:
         stem, _, rest = str(name).rpartition(":")
-        for file in files:
-            table = file[0].table
+        for table, columns, _ in files:
             if stem and stem in (table.name, Path(table.name).stem):
-                return file[table.place(rest)]
-        return files[0][files[0][0].table.place(name)]
+                return columns[table.place(rest)]
+        return files[0].columns[files[0].table.place(name)]
 
     if asked.incident and asked.receiving:
         roles = ("incident", "reflected", "receiving")
@@ -419,14 +418,14 @@ def _by_role(
     signals = [
         column
         for file in files
-        for place, column in enumerate(file)
+        for place, column in enumerate(file.columns)
         if place != clock and not _repeats(column, time, asked.time_unit)
     ]
     usable = [column for column in signals if not column.table.faults]
     if len(usable) not in (2, 4) or asked.reflected:
         names = ", ".join(repr(column.name) for column in signals)
         raise UsageError(
-            f"{files[0][0].table.name}: {len(signals)} signals ({names}); name them by "
+            f"{files[0].table.name}: {len(signals)} signals ({names}); name them by "
             "record.incident, record.receiving (and record.reflected)"
         )
     each = len(usable) // 2
