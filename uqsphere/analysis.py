@@ -30,7 +30,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from uqsphere.arrays import Array, frozen, special
 from uqsphere.errors import UsageError, as_text
@@ -466,7 +466,7 @@ def fragility(
     model: Model,
     inputs: Inputs,
     *,
-    levels: Mapping[str, npt.ArrayLike],
+    levels: Mapping[str, ArrayLike],
     strength: LawLike | float,
     evaluations: int = 100_000,
     seed: int = 0,
@@ -544,7 +544,7 @@ def _fragility(grid: Array, shares: Array, samples: int, targets: Sequence[float
 
 
 def weibull_fit(
-    values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
+    values: ArrayLike, stopped: ArrayLike | None = None, counts: ArrayLike | None = None
 ) -> StrengthFit:
     """The two-parameter Weibull law of strengths, by the largest likelihood.
 
@@ -576,7 +576,7 @@ def weibull_fit(
 
 
 def lognormal_fit(
-    values: npt.ArrayLike, stopped: npt.ArrayLike | None = None, counts: npt.ArrayLike | None = None
+    values: ArrayLike, stopped: ArrayLike | None = None, counts: ArrayLike | None = None
 ) -> StrengthFit:
     """The lognormal law of strengths, by the largest likelihood.
 

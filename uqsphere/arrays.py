@@ -2,20 +2,22 @@
 called.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, dataclass_transform
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import NDArray
 
-Array: TypeAlias = npt.NDArray[np.float64]
-Flags: TypeAlias = npt.NDArray[np.bool_]
-Places: TypeAlias = npt.NDArray[np.int64]
+Array: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+Places: TypeAlias = NDArray[np.int64]
+#: names of columns, in their order
+Names: TypeAlias = Sequence[str]
 #: a number or an array of numbers: argument and result of elementwise formulas
 Values: TypeAlias = Any
 #: numbers or flags of any kind, plain or in named columns
-Cells: TypeAlias = npt.NDArray[Any]
+Cells: TypeAlias = NDArray[Any]
 #: decorator of formulas that are evaluated in every row, also where they are not valid or not used
 quiet = np.errstate(all="ignore")
 

@@ -2,7 +2,7 @@
 
 import platform
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError
 from uqsphere.exchange import sample
 from uqsphere.mechanics import contact
@@ -143,9 +143,7 @@ def compared(
     return _table(case, "p_max", partial(contender, scene), expected, repeats)
 
 
-def _timed(
-    case: str, scene: Scene, fidelity: str, groups: Iterable[Sequence[str]]
-) -> list[dict[str, Any]]:
+def _timed(case: str, scene: Scene, fidelity: str, groups: Iterable[Names]) -> list[dict[str, Any]]:
     """Rows of the table for the model, one for each group of quantities and tolerance."""
     entries = []
     for names in groups:
@@ -155,7 +153,7 @@ def _timed(
     return entries
 
 
-def _answers(scene: Scene, fidelity: str, names: Sequence[str], tolerance: float) -> Array:
+def _answers(scene: Scene, fidelity: str, names: Names, tolerance: float) -> Array:
     answers = solve_scene(scene, fidelity, tolerance=tolerance, threads=1, quantities=names)
     return np.stack([answers.values[name] for name in names])
 
@@ -206,7 +204,7 @@ def bench_study(study: Study, *, rows: int) -> pd.DataFrame:
     return pd.DataFrame(_timed(study.title, scene, study.model.fidelity, groups))
 
 
-def _scene_of(study: Study, rows: int) -> tuple[Scene, Sequence[str]]:
+def _scene_of(study: Study, rows: int) -> tuple[Scene, Names]:
     """Rows of a study's random variables, and the quantities that a run of it asks for."""
     design = Design.of(study)
     drawn = sample(design.judged, max(rows, 2))

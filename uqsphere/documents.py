@@ -128,7 +128,7 @@ def read_text(path: Path) -> str:
         message = (
             f"byte 0x{error.object[error.start]:02x} is not UTF-8 text: save the file as UTF-8"
         )
-        raise StudyError(str(path), [Problem(line=line, path="", message=message)]) from None
+        raise StudyError(path, [Problem(line=line, path="", message=message)]) from None
 
 
 def parse_text(text: str, path: Path) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         if where:
             line = int(where[1])
         message = f"this is not valid TOML: {message[:160]}{_hint(message, text, line)}"
-    raise StudyError(str(path), [Problem(line=line, path="", message=message)])
+    raise StudyError(path, [Problem(line=line, path="", message=message)])
 
 
 def _hint(message: str, text: str, line: int) -> str:
@@ -235,7 +235,7 @@ def refusal(
     path: Path, text: str, faults: Iterable[Fault], overridden: Sequence[str] = ()
 ) -> StudyError:
     """The error of an input file, with every fault at its line."""
-    return StudyError(str(path), located(text, faults, overridden))
+    return StudyError(path, located(text, faults, overridden))
 
 
 # --- values set from outside a file, and tables as its text ---------------------------------------

@@ -40,7 +40,7 @@ class Problem:
     path: str
     message: str
 
-    def render(self, file: str) -> str:
+    def render(self, file: object) -> str:
         """``file:line: path: message``, without the file where there is none, and without the path
         where the file as a whole is meant.
         """
@@ -53,7 +53,7 @@ class Problem:
 class StudyError(UsageError):
     """A study or another input file cannot be used; carries the faults that were found."""
 
-    def __init__(self, file: str, problems: list[Problem]) -> None:
+    def __init__(self, file: object, problems: list[Problem]) -> None:
         self.file = file
         self.problems = sorted(problems)
         super().__init__("\n".join(problem.render(file) for problem in self.problems))

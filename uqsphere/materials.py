@@ -97,11 +97,7 @@ def _material(name: str, table: Mapping[str, Json]) -> Material:
             if part in entry
         }
         properties[key] = Property(
-            value=value,
-            text=text,
-            range=tuple(ends) or None,
-            further=further,
-            **entry,
+            value=value, text=text, range=tuple(ends) or None, further=further, **entry
         )
     return Material(
         name=name, title=table["title"], properties=properties, rock=table.get("rock", False)

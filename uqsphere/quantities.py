@@ -80,7 +80,7 @@ def format_value(value: float, name: str, digits: int = 4) -> str:
     scaled = value * factor
     before = 0
     if 1.0 <= abs(scaled) < 1e6:
-        before = math.floor(math.log10(abs(scaled))) + 1
+        before = _power(scaled) + 1
     return f"{scaled:.{max(digits, before)}g} {unit}".rstrip()
 
 
@@ -97,9 +97,7 @@ def format_together(values: Sequence[float], name: str) -> list[str]:
         return [format_value(value, name) for value in values]
     unit, factor = display_unit(name, max(sizes))
     span = max(values) - min(values) or max(sizes)
-    first, smallest, spanned = (
-        -math.floor(math.log10(size * factor)) for size in (max(sizes), min(sizes), span)
-    )
+    first, smallest, spanned = (-_power(size * factor) for size in (max(sizes), min(sizes), span))
     # of ends that are close, one digit more at most
     decimals = max(first + 2, smallest + 1, min(spanned + 1, first + 3), 0)
     if decimals > 6:
@@ -137,13 +135,18 @@ def format_conservative(value: float, name: str, *, least: bool) -> str:
     return f"{rounded:g} {unit}".rstrip()
 
 
+def _power(value: float) -> int:
+    """The power of ten of the first digit of a number; 0 of zero."""
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
 def _significant(value: float, digits: int, direction: int) -> float:
     """`value` to significant digits: rounded up for a direction of 1, down for -1, else to the
     nearest.
     """
     if value == 0.0 or not math.isfinite(value):
         return value
-    step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
+    step = 10.0 ** (_power(value) - digits + 1)
     # what is a round number but for the last bits stays what it is
     whole = (round, math.ceil, math.floor)[direction]
     steps = whole(value / step - 1e-9 * direction)
@@ -194,7 +197,7 @@ def _percent(value: float, direction: int = 0) -> str:
         # a ratio, such as a coefficient of variation, may exceed 100 %
         digits = 3
     elif value > 0.99:
-        digits = 1 - math.floor(math.log10(1.0 - value))
+        digits = 1 - _power(1.0 - value)
     return f"{_significant(100.0 * value, digits, direction):.{digits}g} %"
 
 
@@ -215,12 +218,12 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
     texts = [_percent(number) for number in (value, low, high)]
     if low > 0.99 and high <= 0.9999:
         # as many digits as the one next to 100 % has
-        decimals = -1 - math.floor(math.log10(1.0 - high))
+        decimals = -1 - _power(1.0 - high)
         texts = [f"{100.0 * number:.{decimals}f} %" for number in (value, low, high)]
     if low >= 1e-4 and high <= 0.99:
         # as many digits as keep the ends apart, at most three of the value
-        value_digits = 2 - math.floor(math.log10(100.0 * min(value, 1.0 - value)))
-        width_digits = 1 - math.floor(math.log10(100.0 * (high - low)))
+        value_digits = 2 - _power(100.0 * min(value, 1.0 - value))
+        width_digits = 1 - _power(100.0 * (high - low))
         digits = max(min(value_digits, width_digits), 0)
         texts = [f"{100.0 * number:.{digits}f} %" for number in (value, low, high)]
     return _with_ends(*texts).replace(" % to", " to")
@@ -270,7 +273,7 @@ def format_estimate(
         return f"{_with_ends(*texts)} {unit}".rstrip()
     decimals = _decimals(*scaled)
     largest = max(map(abs, scaled))
-    magnitude = math.floor(math.log10(largest)) if largest else 0
+    magnitude = _power(largest)
     if largest:
         decimals = min(decimals, most - 1 - magnitude)
     if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
@@ -287,9 +290,9 @@ def _decimals(value: float, low: float, high: float) -> int:
     """Decimals of the second significant digit of the half-width; without one, of six digits."""
     half_width = 0.5 * abs(high - low)
     if not (half_width > 0.0 and math.isfinite(half_width)):
-        return 5 - (math.floor(math.log10(abs(value))) if value else 0)
-    decimals = 1 - math.floor(math.log10(half_width))
+        return 5 - _power(value)
+    decimals = 1 - _power(half_width)
     nearer = min(value - low, high - value)
     if 1e-3 < nearer / half_width < 0.1 and abs(round(value, decimals) - value) > 0.1 * abs(value):
-        return 1 - math.floor(math.log10(nearer))
+        return 1 - _power(nearer)
     return decimals

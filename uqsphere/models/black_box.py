@@ -4,7 +4,7 @@ import contextlib
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from uqsphere.arrays import Array, is_labelled
+from uqsphere.arrays import Array, Names, is_labelled
 from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs
@@ -104,9 +104,7 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {as_text(error)}{place}"
 
 
-def call_black_box(
-    box: BlackBox, names: Sequence[str], rows: Array, outputs: Sequence[str]
-) -> Array:
+def call_black_box(box: BlackBox, names: Names, rows: Array, outputs: Names) -> Array:
     """Answers (n, q) of a model to rows (n, d), in one call.
 
     names : d inputs, the columns of `rows`.
@@ -133,7 +131,7 @@ def call_black_box(
         ) from error
 
 
-def _answers(returned: Any, count: int, outputs: Sequence[str]) -> Array:
+def _answers(returned: Any, count: int, outputs: Names) -> Array:
     """What a model returned as an array (n, q); raises ModelError for the wrong form."""
     returned = by_index(returned, count)
     if is_labelled(returned):
@@ -173,7 +171,7 @@ def by_index(value: Any, count: int) -> Any:
     return value
 
 
-def _by_label(array: Any, outputs: Sequence[str]) -> dict[str, Any]:
+def _by_label(array: Any, outputs: Names) -> dict[str, Any]:
     """The columns of a labelled array of two dimensions, by the coordinate that names the outputs;
     raises ModelError without one.
     """

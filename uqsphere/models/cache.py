@@ -9,12 +9,12 @@ stored by then is there for the next.
 import contextlib
 import hashlib
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Names
 from uqsphere.errors import AccessError, as_text
 
 _TABLE = "CREATE TABLE IF NOT EXISTS answers (key BLOB PRIMARY KEY, answer BLOB) WITHOUT ROWID"
@@ -33,9 +33,7 @@ class Cache:
     Every method raises AccessError where the cache cannot be used.
     """
 
-    def __init__(
-        self, path: Path, model: bytes, inputs: Sequence[str], outputs: Sequence[str]
-    ) -> None:
+    def __init__(self, path: Path, model: bytes, inputs: Names, outputs: Names) -> None:
         self.path, self.damaged = path, 0
         self._outputs = len(outputs)
         self._about = hashlib.blake2b(repr((model, inputs, outputs)).encode()).digest()

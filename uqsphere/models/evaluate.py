@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uqsphere.arrays import Names
 from uqsphere.errors import UsageError
 from uqsphere.models.black_box import BlackBox
 from uqsphere.models.model import Model
@@ -32,7 +33,7 @@ _CHECKED = 4096
 def evaluate(
     study: Study,
     frame: Any,
-    quantities: str | Sequence[str] | None = None,
+    quantities: str | Names | None = None,
     tolerance: float | None = None,
     threads: int | None = 1,
     model: str | BlackBox | None = None,

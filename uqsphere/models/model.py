@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places
+from uqsphere.arrays import Array, Names, Places
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import BlackBox, identity_of, read_model
 from uqsphere.models.cache import Cache
@@ -131,7 +131,7 @@ class Model:
         """
         return self._seconds / self._rows if self._rows else None
 
-    def check_names(self, names: Sequence[str], columns: Sequence[str]) -> None:
+    def check_names(self, names: Names, columns: Names) -> None:
         """Refuse inputs and outputs that are unknown or repeated. Raises UsageError."""
         for kind, requested, allowed in (
             ("input", names, self.inputs),
@@ -145,7 +145,7 @@ class Model:
                 if requested.count(name) > 1:
                     raise UsageError(f"the {kind} {name!r} is given {requested.count(name)} times")
 
-    def evaluate(self, names: Sequence[str], rows: Array, columns: Sequence[str]) -> EvaluatedRows:
+    def evaluate(self, names: Names, rows: Array, columns: Names) -> EvaluatedRows:
         """Answers of n rows.
 
         names : d dotted paths, or inputs of the black box; the others are the study's numbers,
@@ -188,9 +188,7 @@ class Model:
             )
         return notes
 
-    def _differs_by_itself(
-        self, names: Sequence[str], row: Array, answer: Array, columns: Sequence[str]
-    ) -> bool:
+    def _differs_by_itself(self, names: Names, row: Array, answer: Array, columns: Names) -> bool:
         """Whether a row (1, d) has another answer than (q,) when called by itself; a note says
         so.
         """
@@ -209,9 +207,7 @@ class Model:
         )
         return True
 
-    def _evaluate_scene(
-        self, names: Sequence[str], rows: Array, columns: Sequence[str]
-    ) -> EvaluatedRows:
+    def _evaluate_scene(self, names: Names, rows: Array, columns: Names) -> EvaluatedRows:
         """Answers of the impact model, in blocks: what is in work stays small, and `stop` is
         checked between two.
         """
@@ -236,7 +232,7 @@ class Model:
         )
 
     def _evaluate_box(
-        self, names: Sequence[str], rows: Array, columns: Sequence[str], cache: Cache | None
+        self, names: Names, rows: Array, columns: Names, cache: Cache | None
     ) -> tuple[EvaluatedRows, Places]:
         """Answers of the black box, and the rows of the first call that had several.
 

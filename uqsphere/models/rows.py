@@ -1,10 +1,8 @@
 """Rows of answers, and the states that a row can be in."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, frozen
+from uqsphere.arrays import Array, Flags, Names, Places, frozen
 
 #: status of a row that a black box has no answer to; 1 to 5 are those of the impact model
 FAILED = 6
@@ -47,7 +45,7 @@ class EvaluatedRows:
         return np.asarray(self.status == 0)
 
 
-def where_of(names: Sequence[str], row: Array) -> str:
+def where_of(names: Names, row: Array) -> str:
     """The inputs (d,) of a row, in words.
 
     >>> where_of(("a", "b"), np.array([1.0, 0.25]))

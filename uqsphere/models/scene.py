@@ -5,13 +5,13 @@ of answers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
 from uqsphere.models.rows import EvaluatedRows, where_of
@@ -68,7 +68,7 @@ def paper_lines(study: Study) -> tuple[PaperLine, ...]:
     return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {})))
 
 
-def scene_at(study: Study, names: Sequence[str], rows: Array) -> Scene:
+def scene_at(study: Study, names: Names, rows: Array) -> Scene:
     """The scenes of rows (n, d), whose columns are the numbers `names`."""
     return scene_of(study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
 
@@ -92,7 +92,7 @@ def solve_scene(
     *,
     tolerance: float = 1e-6,
     threads: int | None = None,
-    quantities: Sequence[str] | None = None,
+    quantities: Names | None = None,
 ) -> SceneAnswers:
     """Answers of n scenes: in closed form where that is exact for the fidelity, else by
     integration.
@@ -127,9 +127,9 @@ def solve_scene(
 
 def evaluate_scene(
     study: Study,
-    names: Sequence[str],
+    names: Names,
     rows: Array,
-    columns: Sequence[str],
+    columns: Names,
     *,
     threads: int | None = None,
 ) -> EvaluatedRows:
@@ -201,9 +201,7 @@ def check_scene(study: Study) -> None:
             raise UsageError(f"{place}: the rig {study.rig} has no {name} here: {why}. Remove it")
 
 
-def checked_rows(
-    study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str]
-) -> list[ValidityCheck]:
+def checked_rows(study: Study, names: Names, rows: Array, quantities: Names) -> list[ValidityCheck]:
     """The validity checks of rows (n, d), with those of the ranges of criteria among the
     quantities.
     """
@@ -214,7 +212,7 @@ def checked_rows(
     return check_validity(scene, answers, quantities)
 
 
-def hardness_of(study: Study, names: Sequence[str], rows: Array) -> Array | None:
+def hardness_of(study: Study, names: Names, rows: Array) -> Array | None:
     """The pressure that no face exceeds, the largest of the faces' hardness, (n,) [Pa]; None where
     one does not yield.
     """
@@ -238,7 +236,7 @@ def onset_of(study: Study) -> float | None:
     return min(filter(math.isfinite, onsets), default=None)
 
 
-def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:
+def later_loading(study: Study, names: Names, rows: Array) -> Array:
     """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is
     harder.
     """
@@ -250,7 +248,7 @@ def later_loading(study: Study, names: Sequence[str], rows: Array) -> Array:
 
 
 def fractures_of(
-    study: Study, names: Sequence[str], rows: Array, quantities: Sequence[str], shares: Array
+    study: Study, names: Names, rows: Array, quantities: Names, shares: Array
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
     from uqsphere.mechanics.fracture import first_fractures, path_of

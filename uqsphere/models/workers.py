@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, TypeAlias, cast
@@ -18,7 +17,7 @@ from weakref import WeakSet
 
 from threadpoolctl import threadpool_limits
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Names
 from uqsphere.errors import (
     ExecutorLost,
     ModelError,
@@ -31,7 +30,7 @@ from uqsphere.models.black_box import ModelFile, call_black_box, describe_error
 from uqsphere.models.rows import Died, NoAnswer
 
 #: a black box, its inputs and its outputs
-Task: TypeAlias = tuple[Any, Sequence[str], Sequence[str]]
+Task: TypeAlias = tuple[Any, Names, Names]
 #: answers (n, outputs), and the seconds that they took
 Timed: TypeAlias = tuple[Array, float]
 #: calls that an executor of the user is given at once, about
