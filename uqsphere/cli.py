@@ -21,7 +21,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any, NoReturn
 
-from uqsphere.errors import UqsphereError, UsageError
+from uqsphere.errors import UqsphereError, UsageError, tell
 
 #: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
@@ -92,7 +92,7 @@ def main(argv: Sequence[str]) -> int:
         return 2
     if unknown:
         command = f"uqsphere {argv[0]}"
-        print(f"{command}: unknown option {unknown[0]}; see {command} --help", file=sys.stderr)
+        tell(f"{command}: unknown option {unknown[0]}; see {command} --help")
         return 2
     return _guarded(lambda: options.command(options) or 0)
 
@@ -101,26 +101,25 @@ def _guarded(command: Callable[[], int]) -> int:
     try:
         return command()
     except UqsphereError as error:
-        print(error, file=sys.stderr)
+        tell(error)
         return error.exit_code
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        tell("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
         raise
     except MemoryError:
-        print("out of memory: use -j 1, or lower analysis.budget.evaluations", file=sys.stderr)
+        tell("out of memory: use -j 1, or lower analysis.budget.evaluations")
         return 6
     except OSError as error:
-        print(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "), file=sys.stderr)
+        tell(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
         return 6
     except Exception as error:
         if os.environ.get("UQSPHERE_DEBUG"):
             raise
-        print(
+        tell(
             f"internal error: {type(error).__name__}: {error}\nPlease report it with the study; "
-            "UQSPHERE_DEBUG=1 shows where it happened.",
-            file=sys.stderr,
+            "UQSPHERE_DEBUG=1 shows where it happened."
         )
         return 1
 
@@ -307,7 +306,7 @@ def _reader(options: Namespace) -> Callable[[Sequence[str]], Any]:
 
 def _warn(warnings: Iterable[str]) -> None:
     for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        tell(f"warning: {warning}")
 
 
 def _folder(options: Namespace, what: str) -> Path:
@@ -348,10 +347,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
     def press(*_: object) -> None:
         pressed.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        print(
-            "\nStopping; completed model runs are kept. Press Ctrl-C again to abort.",
-            file=sys.stderr,
-        )
+        tell("\nStopping; completed model runs are kept. Press Ctrl-C again to abort.")
 
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, press)
@@ -566,7 +562,7 @@ def _points_here(
             return
         values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
         number = sweep.points.index(point) + 1
-        print(f"point {number} of {len(sweep.points)}: {values}", file=sys.stderr)
+        tell(f"point {number} of {len(sweep.points)}: {values}")
         _computed(options, point.study, sweep.folder / point.name, stop)
         yield point
 

@@ -1,5 +1,6 @@
 """The error family: one exit code each, and a message a user can act on."""
 
+import sys
 from dataclasses import dataclass
 
 
@@ -18,6 +19,11 @@ def as_text(value: object, longest: int = 300) -> str:
     if len(text) > longest:
         return f"{text[: longest - 1]}…"
     return text
+
+
+def tell(text: object) -> None:
+    """Print a note for the user: the standard output is for answers."""
+    print(text, file=sys.stderr, flush=True)
 
 
 class UqsphereError(Exception):

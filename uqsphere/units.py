@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-from uqsphere.arrays import Values, frozen
+from uqsphere.arrays import Names, Values, frozen
 from uqsphere.errors import as_text
 from uqsphere.files import packaged
 
@@ -74,7 +74,7 @@ class Quantity:
     early: bool = False
     place: str = ""
     censored: str = ""
-    needs: tuple[str, ...] = ()
+    needs: Names = ()
 
     @property
     def unit(self) -> str:

@@ -5,7 +5,6 @@ A call that fails is cut in two, so that one bad row does not take the others wi
 
 from __future__ import annotations
 
-import sys
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import Array, Places
-from uqsphere.errors import ModelError
+from uqsphere.errors import ModelError, tell
 from uqsphere.models.rows import Died, NoAnswer, where_of
 from uqsphere.models.workers import Timed, result
 
@@ -89,11 +88,9 @@ def answer_rows(
                 heard = now
             elif model.executor is not None and now - heard > _SILENCE:
                 heard = now
-                print(
+                tell(
                     f"no answer from the executor for {_SILENCE:.0f} s. Are its workers alive? "
-                    "Ctrl-C stops the run; the same command continues it",
-                    file=sys.stderr,
-                    flush=True,
+                    "Ctrl-C stops the run; the same command continues it"
                 )
             # answers first: what is lost with an executor ends the run
             for future in sorted(ended, key=_has_failed):

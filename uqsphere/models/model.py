@@ -4,7 +4,6 @@ reported.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from typing import Any, Self, cast
 import numpy as np
 
 from uqsphere.arrays import Array, Names, Places
-from uqsphere.errors import UsageError, as_text
+from uqsphere.errors import UsageError, as_text, tell
 from uqsphere.models.black_box import BlackBox, identity_of, read_model
 from uqsphere.models.cache import Cache
 from uqsphere.models.dispatch import LARGEST_CALL, answer_rows
@@ -100,7 +99,7 @@ class Model:
         if box is None:
             tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}
             self.inputs = [name for name in INPUTS if name.partition(".")[0] in tables]
-            self.outputs: tuple[str, ...] = (*OUTPUTS, *study.demands)
+            self.outputs: Names = (*OUTPUTS, *study.demands)
             return
         # random inputs come first, as notes name but some of the inputs
         self.inputs, self.outputs = [*study.random, *study.fixed], study.outputs
@@ -305,5 +304,4 @@ def announce_compilation() -> None:
 
     kept = cache_folder()
     if kept is None or not any(kept.rglob("*.nbc")):
-        text = "Compiling the integrator (first use only, about 30 s) …"
-        print(text, file=sys.stderr, flush=True)
+        tell("Compiling the integrator (first use only, about 30 s) …")

@@ -14,13 +14,23 @@ from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, wit
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
-from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.rigs import LAW, sphere_body
-from uqsphere.quantities import INPUTS, lookup, plain_quantity
-from uqsphere.study import values
+from uqsphere.quantities import INPUTS, OUTPUTS, lookup, plain_quantity
 from uqsphere.study.document import Draft, LimitTable
 from uqsphere.study.study import DEFAULT_TARGET, Limit
-from uqsphere.study.values import Number, Observations, Tested, number_of, value_of
+from uqsphere.study.values import (
+    FARTHEST_SIZE,
+    Number,
+    Observations,
+    Tested,
+    fit,
+    is_tests,
+    number_of,
+    observations,
+    value_of,
+    warn_of_rows,
+    warn_unusual,
+)
 from uqsphere.tables import Table
 from uqsphere.units import UNITS, Quantity, shown
 from uqsphere.uq import Law
@@ -192,7 +202,7 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
         if draft.document.contact.law is not None:
             raise Fault(_PRESSURES, "strength_is")
         return compared == "p_max"  # as nearly all tabulated contact strengths are
-    if meant == "pressure" and values.is_tests(table.strength):
+    if meant == "pressure" and is_tests(table.strength):
         raise Fault(
             'forces at failure become pressures by Hertz. Set strength_is = "hertz"', "strength_is"
         )
@@ -218,9 +228,9 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: str) -> Numb
     entry = replace(
         entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
     )
-    if values.is_tests(table.strength):
+    if is_tests(table.strength):
         number = _tested(draft, declared(Observations, table.strength), limit, place)
-        values.warn_unusual(number.mean, entry, draft, place)
+        warn_unusual(number.mean, entry, draft, place)
         return number
     number = number_of(table.strength, entry, draft, place)
     compare_sizes(replace(limit, tested=number.tested), _radii(draft), draft, f"{place}.draws")
@@ -244,14 +254,14 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Numb
         )
     platens = _platens(draft, table.platens)
     sphere = _sphere(draft, platens)
-    cells, rows, columns, stopped = values.observations(
+    cells, rows, columns, stopped = observations(
         table, draft, force="force", diameter="length", rate="loading_rate"
     )
     force = columns["force"]
     diameter = columns["diameter"]
     rate = columns.get("rate")
     tension = _warn_of_slips(table, cells, rows, columns, draft, place)
-    values.warn_of_rows(cells, rows, tension, stopped, draft, place)
+    warn_of_rows(cells, rows, tension, stopped, draft, place)
 
     power = _POWERS.get(demand, 2.0)
     mean = float(diameter.mean())
@@ -259,7 +269,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Numb
     flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
     def by_size(exponent: float) -> tuple[Law, float]:
-        law = values.fit(force * (mean / diameter) ** exponent, stopped, table, kind)
+        law = fit(force * (mean / diameter) ** exponent, stopped, table, kind)
         return law, power and power - flaws / (modulus_of(law) or math.inf)
 
     law, exponent = _fixed_point(by_size, power)
@@ -295,7 +305,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Numb
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:
-        law = values.fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
+        law = fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
         return law, modulus_of(law) or modulus
 
     law, _ = _fixed_point(by_value, 8.0) if limit.needs_modulus else by_value(8.0)
@@ -355,7 +365,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: s
     ratios = [
         max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii
     ]
-    refused = not linked and max(ratios) > values.FARTHEST_SIZE
+    refused = not linked and max(ratios) > FARTHEST_SIZE
     radius = radii[ratios.index(max(ratios))] if refused else radii[0]
     sizes = (
         f"the tests of {limit.name} have a mean diameter of {1e3 * tested.diameter:.4g} mm, the "

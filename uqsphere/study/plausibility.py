@@ -53,8 +53,7 @@ def warn_of_slips(draft: Draft) -> None:
         table: Like(called=name, materials=[_material(name)])
         for table, name in draft.materials.items()
     }
-    if not draft.box:
-        likes.setdefault("sphere", _class_of(draft))
+    likes.setdefault("sphere", _class_of(draft))
     for table, like in likes.items():
         for key in _KEYS:
             number = draft.numbers.get(getattr(numbers_of(table).get(key), "name", ""))
@@ -64,8 +63,7 @@ def warn_of_slips(draft: Draft) -> None:
     for limit in draft.limits.values():
         _warn_of_modulus(draft, limit)
         _warn_of_partners(draft, limit)
-        if not draft.box:
-            _warn_of_strength(draft, limit, likes["sphere"])
+        _warn_of_strength(draft, limit, likes["sphere"])
 
 
 @frozen
@@ -104,7 +102,7 @@ def _class_of(draft: Draft) -> Like:
         "glass": [solids["soda_lime_glass"]],
         "ceramics": [solids["alumina"]],
     }
-    text = " ".join([draft.document.title or "", *draft.materials.values()]).lower()
+    text = " ".join([draft.document.title, *draft.materials.values()]).lower()
     words = set(re.findall("[a-z]+", text))
     words |= {word.removesuffix("s") for word in words}
     for called, listed in _CLASSES.items():
@@ -160,7 +158,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     diameter = None
     if mode.size_law == "particle":
         diameter = 2.0 * draft.mean("sphere.radius")
-    value = law.nominal_mean() if isinstance(law, Law) else float(law)
+    value = draft.mean(strength_name(limit.name))
     usual = like.range_of(mode.strength, diameter)
     hint = ""
     if mode.strength == "tensile_strength":
@@ -174,9 +172,8 @@ def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     scene = draft.scene
     if tested is None or not tested.forces or scene is None or limit.quantity == "P_max":
         return
-    E = draft.mean("sphere.E")
-    nu = draft.mean("sphere.nu")
-    tests = float(reduced_modulus(E, nu, *tested.platens))
+    sphere = (draft.mean("sphere.E"), draft.mean("sphere.nu"))
+    tests = float(reduced_modulus(*sphere, *tested.platens))
     rig = float(np.mean([partner.modulus[0] for partner in scene.there]))
     if abs(tests / rig - 1.0) > _STIFFER:
         text = (

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import BaseModel
 
-from uqsphere.arrays import Array, frozen
+from uqsphere.arrays import Array, Names, frozen
 from uqsphere.files import Json
 from uqsphere.materials import Property
 from uqsphere.mechanics.criteria import CRITERIA
@@ -150,13 +150,13 @@ class Study:
     dependence: tuple[Dependence, ...]
     analysis: Analysis
     margins: Margins | None
-    outputs: tuple[str, ...] = ()
+    outputs: Names = ()
     warnings: tuple[str, ...] = ()
     overrides: tuple[str, ...] = ()
     record: MeasuredPulse | None = None
     gauges: tuple[Gauge, ...] = ()
     files: tuple[tuple[str, Path], ...] = ()
-    made_up: tuple[str, ...] = ()
+    made_up: Names = ()
     caveats: tuple[tuple[str, str, str], ...] = ()
 
     def __init__(self, **tables: Any) -> None:
