@@ -73,7 +73,7 @@ def library() -> dict[str, dict[str, Material]]:
     0.25
     """
     tables = packaged("materials.toml")
-    materials: dict[str, dict[str, Material]] = {}
+    materials = dict[str, dict[str, Material]]()
     for kind in MATERIAL_KINDS:
         materials[kind] = {name: _material(name, table) for name, table in tables[kind].items()}
     return materials

@@ -443,7 +443,7 @@ class Table:
         others.
         """
         self.check()
-        first: dict[tuple[str, ...], int] = {}
+        first = dict[tuple[str, ...], int]()
         back = [k - first.setdefault(tuple(row), k) for k, row in enumerate(self.rows)]
         again = [k for k, shift in enumerate(back) if shift]
         # a block that was pasted twice repeats rows in their order; tests stopped at one load are

@@ -43,8 +43,8 @@ def answer_rows(
     total = len(rows)
     analysis = model.study.analysis
     answers = np.full((total, len(model.outputs)), np.nan)
-    failures: dict[int, NoAnswer] = {}
-    died_once: set[int] = set()
+    failures = dict[int, NoAnswer]()
+    died_once = set[int]()
     together: Places = np.arange(0)
     # two sizes, none between: the last digits of a model may depend on the rows of a call, and time
     # does not repeat
@@ -54,8 +54,8 @@ def answer_rows(
     if analysis.time_limit is not None:
         size = 1
     due = (np.arange(start, min(start + size, total)) for start in range(0, total, size))
-    again: list[Places] = []
-    running: dict[Future[Timed], Places] = {}
+    again = list[Places]()
+    running = dict[Future[Timed], Places]()
     before = model.evaluations + model.reused
     heard = time.monotonic()
     try:

@@ -94,7 +94,7 @@ class Model:
         #: rows called by themselves to compare: none, one, or the ends of a call of several
         self._compared = 0
         self._cache: Cache | None = None
-        self._notes: list[str] = []
+        self._notes = list[str]()
         means = study.at_means()
         if box is None:
             tables = {"pulse", "contact", *(name.partition(".")[0] for name in means)}

@@ -182,16 +182,17 @@ class _Process:
         """Answers to rows, within a limit [s]; raises as `result`."""
         timer = threading.Timer(limit or 0.0, self._expire)
         timer.daemon = True
+        replies = self._process.stdout
         try:
             if not self._started:
-                self._receive()
+                pickle.load(replies)
                 self._started = True
                 self._send(self.packed)
-                self._receive()  # the model is loaded, which its limit does not count
+                pickle.load(replies)  # the model is loaded, which its limit does not count
             if limit is not None:
                 timer.start()
             self._send(rows)
-            reply = self._receive()
+            reply: Timed = pickle.load(replies)
         except Exception as error:  # the end of a stream, or garbage in it
             self.close()
             code = self._process.returncode
@@ -209,14 +210,11 @@ class _Process:
             timer.cancel()
         if isinstance(reply, BaseException):
             raise reply
-        return cast(Timed, reply)
+        return reply
 
     def _send(self, message: object) -> None:
         pickle.dump(message, self._process.stdin)
         self._process.stdin.flush()
-
-    def _receive(self) -> object:
-        return pickle.load(self._process.stdout)
 
     def _expire(self) -> None:
         self._late = True
@@ -278,7 +276,7 @@ class Workers:
     """
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
-        self._executor: Any = executor
+        self._executor = executor
         self._answer: Any = answer
         if hasattr(executor, "get_executor"):
             # the same call twice is two evaluations, which Dask would not make
@@ -287,7 +285,7 @@ class Workers:
             raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
         self._task, self._packed, self._limit, self.count = task, b"", limit, 0
         self._threads: ThreadPoolExecutor | None = None
-        self._processes: WeakSet[_Process] = WeakSet()
+        self._processes = WeakSet[_Process]()
         self._lock = threading.Lock()
         if executor is not None:
             self._packed, self.count = pack(task), _MANY
@@ -316,7 +314,7 @@ class Workers:
             if self._threads is None:
                 self._threads = ThreadPoolExecutor(self.count)
             return self._threads.submit(self._call, rows)
-        future: Future[Timed] = Future()
+        future = Future[Timed]()
         try:
             future.set_result(answer(self._task, rows))
         except ModelError as error:

@@ -519,7 +519,7 @@ def _analysis(draft: Draft) -> Faults:
 
 def _dependence(draft: Draft) -> None:
     """The names of each dependence, and each with those before it."""
-    ties: list[Dependence] = []
+    ties = list[Dependence]()
     random = {k: n.value for k, n in draft.numbers.items() if isinstance(n.value, Law)}
     for index, table in enumerate(draft.document.dependence):
         for at, name in enumerate(table.of):

@@ -310,7 +310,7 @@ def _with_numbers(table: str, words: type[TomlTable]) -> type[TomlTable]:
     """A table with the numbers of the scene that it can have: a word where one stands for it,
     fixed, or a law.
     """
-    numbers: dict[str, Any] = {}
+    numbers = dict[str, Any]()
     for name, quantity in numbers_of(table).items():
         fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
         kinds = Distribution | fixed

@@ -78,7 +78,7 @@ def load_study(
         folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs"))
     )
     for stage in BOX_STAGES if draft.box else STAGES:
-        faults: list[Fault] = []
+        faults = list[Fault]()
         for check in stage:
             try:
                 faults += check(draft) or ()

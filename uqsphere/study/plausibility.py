@@ -18,7 +18,6 @@ from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
 from uqsphere.study.document import Draft
 from uqsphere.study.study import Limit, strength_name
-from uqsphere.study.values import numbers_of
 from uqsphere.uq import Law
 
 #: the library's range of a property, and of which solids
@@ -56,10 +55,9 @@ def warn_of_slips(draft: Draft) -> None:
     likes.setdefault("sphere", _class_of(draft))
     for table, like in likes.items():
         for key in _KEYS:
-            number = draft.numbers.get(getattr(numbers_of(table).get(key), "name", ""))
-            if number is not None:
-                path = f"{table}.{key}"
-                _compare(draft, path, path, number.mean, like.range_of(key))
+            path = f"{table}.{key}"
+            if path in draft.numbers:
+                _compare(draft, path, path, draft.mean(path), like.range_of(key))
     for limit in draft.limits.values():
         _warn_of_modulus(draft, limit)
         _warn_of_partners(draft, limit)
@@ -75,7 +73,7 @@ class Like:
 
     def range_of(self, key: str, diameter: float | None = None) -> Range | None:
         """The range of a property, of particles of a diameter [m] by its size law."""
-        ends: list[float] = []
+        ends = list[float]()
         for material in self.materials:
             entry = material.properties.get(key)
             if entry is not None:

@@ -285,7 +285,7 @@ def _keys(meaning: Mapping[str, Json]) -> dict[str, Json]:
     """The values of a study by their dotted keys: numbers by their paths, parts of tables by table
     and key.
     """
-    keys: dict[str, Json] = {}
+    keys = dict[str, Json]()
     for table, content in meaning.items():
         if table in ("fixed", "random", "options"):
             keys |= content

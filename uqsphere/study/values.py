@@ -170,7 +170,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
         raise Fault(unknown("distribution", kind, FAMILIES) + near, "dist")
     keys = (*family.keys, "lower", "upper")
-    parameters: dict[str, float] = {}
+    parameters = dict[str, float]()
     for key in (key for key in raw if key != "dist"):
         if key not in keys:
             raise Fault(
