@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -50,14 +50,14 @@ class ModelFile:
             raise ModelError(
                 f"{path} raised {describe_error(error)} while it was loaded"
             ) from error
-        function = getattr(module, self.name, None)
+        function: BlackBox | None = getattr(module, self.name, None)
         if not callable(function):
             members = vars(module).items()
             names = [key for key, member in members if key[0] != "_" and inspect.isfunction(member)]
             raise UsageError(
                 f"{path} has no function {self.name!r}; its functions: {', '.join(names) or 'none'}"
             )
-        return cast(BlackBox, function)
+        return function
 
 
 def read_model(reference: str) -> ModelFile:

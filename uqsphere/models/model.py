@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 
@@ -64,14 +64,12 @@ class Model:
     cache_file: Path | None = None
     stop: Callable[[], bool] | None = None
     progress: Callable[[int, int], None] | None = None
-    evaluations: int = field(default=0, init=False)
-    reused: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         from uqsphere.mechanics.integrator.solve import thread_count
 
         study = self.study
-        box = cast(Any, self.model)
+        box: Any = self.model
         if study.black_box and box is None:
             raise UsageError(
                 "a black-box study needs a model. Add --model FILE.py:FUNCTION, in Python model=..."
@@ -91,6 +89,7 @@ class Model:
         self._processes = self.threads or thread_count()
         #: seconds and rows of all calls but the first, which may import and compile
         self.calls, self._seconds, self._rows = 0, 0.0, 0
+        self.evaluations = self.reused = 0
         #: rows called by themselves to compare: none, one, or the ends of a call of several
         self._compared = 0
         self._cache: Cache | None = None
