@@ -98,14 +98,13 @@ class Answers(dict[Any, Any]):
         """
         from pandas import DataFrame
 
-        columns = ("value", "low", "high", "std_error", "evaluations", "method", "reason")
+        columns = ["order", "name", "value", "low", "high", "std_error", "evaluations", "method"]
         rows = []
         for key, content in self.items():
             order, estimates = (key, content) if isinstance(content, dict) else ("", {key: content})
             for name, estimate in estimates.items():
-                values = {column: getattr(estimate, column) for column in columns}
-                rows.append({"order": order, "name": name, **values})
-        return DataFrame(rows)
+                rows.append({"order": order, "name": name, **vars(estimate)})
+        return DataFrame(rows, columns=[*columns, "reason"])
 
 
 def joint(

@@ -2,11 +2,10 @@
 out.
 """
 
-import codecs
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -103,10 +102,10 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     return ""
 
 
-def unknown(what: str, word: object, known: Iterable[str]) -> str:
+def unknown(what: str, word: object, known: Collection[str]) -> str:
     """The message for a word that is none of those known."""
-    names = list(known)
-    return f"unknown {what} {shown(word)}, known: {one_of(names[:40])}{suggestion(word, names)}"
+    first = [*known][:40]
+    return f"unknown {what} {shown(word)}, known: {one_of(first)}{suggestion(word, known)}"
 
 
 # --- text, syntax, lines --------------------------------------------------------------------------
@@ -122,7 +121,7 @@ _DOTS = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
 def read_text(path: Path) -> str:
     """The text of an input file: at most 1 MiB of UTF-8; a byte order mark is dropped."""
     try:
-        return read_given(path, 1 << 20).removeprefix(codecs.BOM_UTF8).decode("utf-8")
+        return read_given(path, 1 << 20).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         message = (
@@ -140,7 +139,7 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         if not dots:
             data = tomllib.loads(text)
             for place in _huge_numbers(data):
-                raise refusal(path, text, [Fault("this whole number is too large", *place)])
+                raise refusal(path, text, [Fault("this whole number is too large", place)])
             return data
         line = text[: dots.start()].count("\n") + 1
         message = "a dotted key goes more than 12 levels deep"
@@ -167,14 +166,14 @@ def _hint(message: str, text: str, line: int) -> str:
     return alien(re.sub("\"[^\"]*\"|'[^']*'|#.*", "", seen))
 
 
-def _huge_numbers(node: Any, place: Place = ()) -> Iterator[Place]:
+def _huge_numbers(node: Any, place: str = "") -> Iterator[str]:
     """Places of whole numbers that no double holds: they could not even be printed."""
     if isinstance(node, dict):
         for key, value in node.items():
-            yield from _huge_numbers(value, (*place, key))
+            yield from _huge_numbers(value, path_of(place, key))
     elif isinstance(node, list):
         for index, value in enumerate(node):
-            yield from _huge_numbers(value, (*place, index))
+            yield from _huge_numbers(value, path_of(place, index))
     elif isinstance(node, int) and abs(node) > _LARGEST_WHOLE:
         yield place
 

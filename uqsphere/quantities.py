@@ -185,8 +185,10 @@ def format_probability(
     return _percent(value)
 
 
-def _percent(value: float, direction: int = 0) -> str:
+def _percent(value: float, direction: int = 0, decimals: int | None = None) -> str:
     """A probability without an interval, rounded up or down if it is a bound."""
+    if decimals is not None:
+        return f"{100.0 * value:.{decimals}f} %"
     if 0.0 < value < 1e-6:
         mantissa, _, exponent = f"{_significant(100.0 * value, 2, direction):.1e}".partition("e")
         return f"{float(mantissa):g}e{int(exponent)} %"
@@ -215,17 +217,16 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
         return format_probability(value, high, low)
     if (value == 0.0 and high < 1.0) or (value == 1.0 and low > 0.0):
         return format_probability(value, high, low)
-    texts = [_percent(number) for number in (value, low, high)]
+    decimals = None
     if low > 0.99 and high <= 0.9999:
         # as many digits as the one next to 100 % has
         decimals = -1 - _power(1.0 - high)
-        texts = [f"{100.0 * number:.{decimals}f} %" for number in (value, low, high)]
-    if low >= 1e-4 and high <= 0.99:
+    elif low >= 1e-4 and high <= 0.99:
         # as many digits as keep the ends apart, at most three of the value
         value_digits = 2 - _power(100.0 * min(value, 1.0 - value))
         width_digits = 1 - _power(100.0 * (high - low))
-        digits = max(min(value_digits, width_digits), 0)
-        texts = [f"{100.0 * number:.{digits}f} %" for number in (value, low, high)]
+        decimals = max(min(value_digits, width_digits), 0)
+    texts = (_percent(number, decimals=decimals) for number in (value, low, high))
     return _with_ends(*texts).replace(" % to", " to")
 
 
@@ -268,21 +269,20 @@ def format_estimate(
     if name:
         unit, factor = display_unit(name, value)
     scaled = [number * factor for number in (value, low, high)]
-    if not all(map(math.isfinite, scaled)):  # a difference of numbers near the largest there are
-        texts = [f"{number:.6g}" for number in scaled]
-        return f"{_with_ends(*texts)} {unit}".rstrip()
-    decimals = _decimals(*scaled)
-    largest = max(map(abs, scaled))
-    magnitude = _power(largest)
-    if largest:
-        decimals = min(decimals, most - 1 - magnitude)
-    if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
-        digits = max(1, decimals + 1 + magnitude)
-        texts = [f"{number:.{digits - 1}e}" for number in scaled]
-    else:
-        places = max(0, decimals)
-        # + 0.0: what rounds to zero has no sign
-        texts = [f"{round(number, decimals) + 0.0:.{places}f}" for number in scaled]
+    spec = ".6g"
+    if all(map(math.isfinite, scaled)):  # not a difference of numbers near the largest there are
+        decimals = _decimals(*scaled)
+        largest = max(map(abs, scaled))
+        magnitude = _power(largest)
+        if largest:
+            decimals = min(decimals, most - 1 - magnitude)
+        if (decimals > 6 and largest < 1e-3) or largest >= 1e7:
+            spec = f".{max(0, decimals + magnitude)}e"
+        else:
+            spec = f".{max(0, decimals)}f"
+            # + 0.0: what rounds to zero has no sign
+            scaled = [round(number, decimals) + 0.0 for number in scaled]
+    texts = (f"{number:{spec}}" for number in scaled)
     return f"{_with_ends(*texts)} {unit}".rstrip()
 
 

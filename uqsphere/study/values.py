@@ -474,7 +474,7 @@ def _drawn(table: Observations, quantity: Quantity, draft: Draft) -> Number:
             if key in ("scale", "shape", *bare):
                 unit = None if its_dimension else table.unit
                 columns[key] = cells.numbers(key, dimension, unit, key="draws")
-        least, scale, shape, bound = (columns[k] for k in ("least", "scale", "shape", "bound"))
+        least, scale, shape, bound, *_ = columns.values()
         cells.refuse(
             "draws",
             "scale and shape must be above 0, least at least 0, bound at least 0 and below 1",
