@@ -159,7 +159,6 @@ def test_inputs_carry_strengths_and_the_dependence(load: Load) -> None:
         BASE, ("target = 0.01", 'model_factor = { dist = "lognormal", mean = 1.0, cov = "5 %" }')
     ).inputs()
     assert inputs.names[3:] == ("limits.crushing.strength", "limits.crushing.model_factor")
-    assert inputs.correlation is not None
     assert inputs.correlation[0, 3] == pytest.approx(2.0 * math.sin(math.pi * 0.6 / 6.0), rel=1e-12)
 
 

@@ -34,7 +34,6 @@ from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.estimate import share as share_of
 from uqsphere.uq.limit_state import (
     draw_breaking,
-    exceedance,
     make_union,
     reliability_index,
     residual_correlation,
@@ -220,7 +219,7 @@ def fracture(design: Design, tables: Tables) -> Rows:
         _common_factor(design, limits),
         generator,
     )
-    exceeded = exceedance(union_state(union))
+    exceeded = failure_of_aim(union_state(union), "survive")
     yield estimate_row("fracture", "exceedance_probability", "", exceeded, runs=tables.runs)
     drawn = draw_breaking(union, SPECIMENS, generator)
     if drawn is None:
@@ -270,7 +269,7 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     covariance = np.eye(len(limits))
     names = [strength_name(limit.name) for limit in limits]
     random = [k for k, name in enumerate(names) if name in design.joint.names]
-    if correlation is None or len(random) < 2:
+    if not design.joint.dependent or len(random) < 2:
         return covariance
     at = [places(names[k]) for k in random]
     drawn = [*map(places, design.drawn.names)]

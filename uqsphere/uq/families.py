@@ -121,14 +121,15 @@ class Family:
                 )
             if not math.isfinite(value):
                 raise LawError(f"{key} must be a finite number, found {value}", key)
-        keys = {key: value for key, value in table.items() if key not in self.optional}
-        if set(keys) not in map(set, self.alternatives):
-            best = max(self.alternatives, key=lambda alternative: len({*alternative} & {*keys}))
-            odd = next((key for key in keys if key not in best), "")
+        chosen = [key for key in table if key not in self.optional]
+        if set(chosen) not in map(set, self.alternatives):
+            best = max(self.alternatives, key=lambda alternative: len({*alternative} & {*chosen}))
+            odd = next((key for key in chosen if key not in best), "")
             raise LawError(
-                f"{self.name} takes {self.allowed()}; found {', '.join(keys) or 'none of them'}",
+                f"{self.name} takes {self.allowed()}; found {', '.join(chosen) or 'none of them'}",
                 odd,
             )
+        keys = {**self.optional, **table}
         for key in _POSITIVE:
             if keys.get(key, 1.0) <= 0.0:
                 hint = ""
@@ -142,9 +143,8 @@ class Family:
             if mean == 0.0:
                 raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
             keys["sd"] = keys.pop("cov") * abs(mean)
-        keys |= {key: table.get(key, usual) for key, usual in self.optional.items()}
         try:
-            if self.from_moments is not None and not set(self.parameters_of) <= set(keys):
+            if self.from_moments is not None and not keys.keys() >= set(self.alternatives[0]):
                 keys |= self.from_moments(**keys, **self.bounds(lower, upper))
             parameters = {key: float(keys[key]) for key in self.parameters_of}
         except (OverflowError, ZeroDivisionError):

@@ -74,7 +74,7 @@ class LocationScale:
         """
         if self.normal:
             hazard = math.sqrt(2.0 / math.pi) / special.erfcx(z / math.sqrt(2.0))  # phi(z)/S(z)
-            density = 0.5 * z * z + 0.5 * math.log(2.0 * math.pi)
+            density = 0.5 * (z * z + math.log(2.0 * math.pi))
             value = stopped * special.log_ndtr(-z) - failures * density
             second = -failures - stopped * hazard * (hazard - z)
             return value, -failures * z - stopped * hazard, second
@@ -138,9 +138,8 @@ class LocationScale:
         """Distance (rows,) of the law fitted to each of such series from its Kaplan-Meier
         estimate.
         """
-        location, scale = self.fit(series, leaving)
-        below, _ = self.form.tails((series - location[:, None]) / scale[:, None])
-        return distance(below, leaving)
+        location, scale = (part[:, None] for part in self.fit(series, leaving))
+        return distance(self.form.tails((series - location) / scale)[0], leaving)
 
     def pivots(
         self, leaving: Array, count: int, generator: np.random.Generator
@@ -151,8 +150,8 @@ class LocationScale:
         if leaving.size > MANY:
             z = self._of_hazard(np.cumsum(1.0 / _at_risk(leaving)))
             second = self.terms(z, np.ones(z.size), leaving - 1.0)[2]
-            mixed = (second * z).sum()
-            information = [[z.size - (second * z * z).sum(), mixed], [mixed, -second.sum()]]
+            mixed = second @ z
+            information = [[z.size - second @ (z * z), mixed], [mixed, -second.sum()]]
             covariance = np.linalg.inv(information)
             logs, places = generator.multivariate_normal([0.0, 0.0], covariance, count).T
             return places, np.exp(logs)
@@ -218,10 +217,8 @@ class StrengthTests:
         """Tests that end with each failure (r,): itself and those stopped before the next; before
         the first: none.
         """
-        leaving = np.ones(int(self.failures.sum()))
-        last = np.cumsum(self.failures).astype(int) - 1
-        np.add.at(leaving, last[last >= 0], self.stopped[last >= 0])
-        return leaving
+        ended = np.bincount(np.cumsum(self.failures).astype(int), self.stopped)
+        return ended[1:] + np.ones(ended.size - 1)
 
 
 def make_tests(values: object, stopped: object = None, counts: object = None) -> StrengthTests:
@@ -261,12 +258,12 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
         raise ValueError(f"a strength must be positive, the smallest found is {x.min():g}")
     tests = _gathered(x, flags.astype(bool), many)
     broke = tests.values[tests.failures > 0.0]
-    total = tests.failures.sum()
-    if total == 0.0:
+    if not broke.size:
         raise ValueError(
             f"all {many.sum():.0f} tests were stopped before a failure: they tell no strength"
         )
     if np.isclose(broke[0], broke[-1], atol=0.0):
+        total = tests.failures.sum()
         what = "only one failure" if total == 1.0 else f"all {total:.0f} failures are equal"
         raise ValueError(
             f"{what}: the scatter is not known, at least two different failures are needed"
@@ -276,10 +273,9 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
 
 def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
     different, at = np.unique(values, return_inverse=True)
-    failures = np.zeros(different.size)
-    ended = np.zeros(different.size)
-    np.add.at(failures, at, counts * ~stopped)
-    np.add.at(ended, at, counts * stopped)
+    failures, ended = (
+        np.bincount(at, counts * which).astype(float) for which in (~stopped, stopped)
+    )
     return StrengthTests(values=different, failures=failures, stopped=ended)
 
 
@@ -301,11 +297,10 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
     if inverse is None:
         inverse = law.pivots(leaving, DRAWS, np.random.default_rng(_SERIES_SEED))[1]
     if law.normal:
-        return 1.0 / math.sqrt(float(np.mean(inverse**-2.0)))
+        return 1.0 / math.sqrt(np.mean(inverse**-2.0))
     # E[m*/m] has no bound for two failures; there the median takes its place
-    if n > 3:
-        return 1.0 / float(np.mean(inverse))
-    return 1.0 / float(np.median(inverse))
+    centre = np.mean if n > 3 else np.median
+    return 1.0 / float(centre(inverse))
 
 
 # --- the fit --------------------------------------------------------------------------------------
@@ -373,7 +368,7 @@ def fit_strength(
         unbiased=shape * unbiasing(law, tests.leaving, inverse),
         scale=math.exp(location),
         scale_interval=tuple(places),
-        log_likelihood=float((terms - tests.failures * (y + math.log(spread))).sum()),
+        log_likelihood=float(terms.sum() - tests.failures @ (y + math.log(spread))),
         p_value=probability_of(tests, law),
     )
 
@@ -383,8 +378,8 @@ def distance(below: Array, leaving: Array) -> Array:
     Kaplan-Meier estimate.
     """
     after = 1.0 - np.cumprod(1.0 - 1.0 / _at_risk(leaving))
-    before = np.concatenate([[0.0], after[:-1]])
-    return np.asarray(np.maximum(np.abs(below - after), np.abs(below - before)).max(axis=1))
+    before = np.append(0.0, after[:-1])
+    return np.asarray(np.abs([below - after, below - before]).max(axis=(0, 2)))
 
 
 def probability_of(tests: StrengthTests, law: LocationScale) -> float:
@@ -401,7 +396,7 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     series = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
     farther = law.misfit(series, few) * math.sqrt(few.size / z.size) >= apart
-    return float((1 + farther.sum()) / (_OTHERS + 1))
+    return (1 + np.count_nonzero(farther)) / (_OTHERS + 1)
 
 
 # --- a law from a column --------------------------------------------------------------------------
@@ -412,7 +407,7 @@ def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) ->
     from scipy import stats
 
     # Pascals and micrometres meet the same optimiser
-    size = float(np.mean(np.abs(data)))
+    size = np.mean(np.abs(data))
     fixed = {key: value / size for key, value in fixed.items()}
     *shapes, _, scale = getattr(stats, name).fit(data / size, **fixed)
     return dict(zip(keys, (*shapes, scale * size), strict=False))
@@ -421,7 +416,7 @@ def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) ->
 #: parameters of the largest likelihood of observations (n,), and of bounds, of laws without
 #: location and scale
 OTHERS: Mapping[str, Callable[[Array, float, float], Keys]] = {
-    "exponential": lambda data, a, b: {"rate": 1.0 / float(np.mean(data))},
+    "exponential": lambda data, a, b: {"rate": data.size / data.sum()},
     "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
     "beta": lambda data, a, b: _scipy_fit("beta", data, ("alpha", "beta"), floc=a, fscale=b - a),
     "gamma": lambda data, a, b: _scipy_fit("gamma", data, ("shape", "scale"), floc=0.0),
@@ -461,7 +456,8 @@ def fitted_law(
     >>> fitted_law([1.0, 1.2, 0.9, 1.1], "exponential").family.name
     'exponential'
     """
-    (a, b), how = bounds_of(lower, upper), fit or "kde"
+    a, b = bounds_of(lower, upper)
+    how = fit or "kde"
     if how not in FITS:
         raise LawError(
             f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit"
@@ -492,8 +488,7 @@ def fitted_law(
     if family.observed is not None:
         width = bandwidth(values) if how == "kde" else 0.0
         return checked(replace(law, parameters={"bandwidth": width}))
-    least = observed[0]
-    largest = observed[-1]
+    least, *_, largest = observed
     if family.bounded and not math.isfinite(b - a):
         raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
     if family.bounded and not a < least <= largest < b:
@@ -521,10 +516,9 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
         kind = LOCATION_SCALE[name]
         tests = series_behind(law)
         location, spread = _best(tests, kind)
-        shape = kind.shape(spread)
         if unbiased:
-            shape = shape * unbiasing(kind, tests.leaving)
-        keys = kind.parameters(location, kind.shape(shape))
+            spread = kind.shape(kind.shape(spread) * unbiasing(kind, tests.leaving))
+        keys = kind.parameters(location, spread)
     return replace(law, parameters=law.family.parameters(keys, *ends))
 
 
@@ -542,10 +536,10 @@ def law_of_known_modulus(
         raise LawError(f'a known modulus is that of fit = "weibull"; found {fit}', "fit")
     if not x.size or not (np.isfinite(x).all() and x.min() > 0.0):
         raise LawError("strengths must be positive finite numbers, one at least", "column")
-    shape = len(data) + 0.5 if len(data) else 1.0
+    shape = max(len(data) + 0.5, 1.0)
     hazards = special.gammaincinv(shape, (np.arange(400) + 0.5) / 400.0)
     scales = x.max() * (((x / x.max()) ** modulus).sum() / hazards) ** (1.0 / modulus)
-    return law_of_draws([(WEIBULL, 0.0, float(scale), modulus, 0.0) for scale in scales], x.size)
+    return law_of_draws([(WEIBULL, 0.0, scale, modulus, 0.0) for scale in scales.tolist()], x.size)
 
 
 def is_fitted(law: object) -> bool:
@@ -661,7 +655,7 @@ def modulus_of(law: object) -> float | None:
     """The Weibull modulus of a law, fitted or known beforehand; None where it has none."""
     if not isinstance(law, Law):
         return None
-    kinds = {(draw[0], draw[3]) for draw in law.draws}
+    kinds = {(kind, shape) for kind, _, _, shape, _ in law.draws}
     if len(kinds) == 1 and law.draws[0][0] == WEIBULL:
         return law.draws[0][3]
     return law.parameters.get("modulus")
@@ -678,7 +672,8 @@ def outliers(values: Array, failed: Flags) -> dict[int, float]:
     places = np.flatnonzero(failed & (values > 0.0))
     if len(places) < 6:
         return {}
-    away = np.log(values[places]) - np.median(np.log(values[places]))
+    logs = np.log(values[places])
+    away = logs - np.median(logs)
     reach = 1.4826 * np.median(np.abs(away)) * max(APART, math.log(len(values)))
     apart = np.abs(away) > reach
     if reach == 0.0 or apart.sum() > max(1, len(values) // 10):

@@ -8,7 +8,7 @@ from the other: each keeps its relative accuracy however small it is.  A form is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 Function = Callable[[Array], Array]
 Quantile = Callable[[Array, Array], Array]
+Tails = Sequence[float | Array]  # P(Y <= y), P(Y > y)
 
-ROOT = math.sqrt(2.0 * math.pi)
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN = 37.0
 #: tail probabilities at which quantiles and probabilities are held against each other: a sample of
@@ -70,34 +70,27 @@ class Form:
     mass: float = 1.0  # probability that truncation has left
 
 
-def truncated(form: Form, a: float, b: float) -> Form:
-    """The form between a and b, from whichever tail is the smaller one: no digits are lost however
-    far out they are.
+def _between(start: Tails, end: Tails) -> Any:
+    """Probability between two places from both tails of each, off the smaller ones: no digits are
+    lost however far out they are.
     """
-    with np.errstate(divide="ignore", over="ignore"):
-        (below_a, below_b), (above_a, above_b) = (
-            tail.tolist() for tail in form.tails(np.array([a, b]))
-        )
-    mass = below_b - below_a if above_a >= 0.5 else above_a - above_b
+    return np.where(start[1] >= 0.5, end[0] - start[0], start[1] - end[1])
+
+
+def truncated(form: Form, a: float, b: float) -> Form:
+    """The form between a and b."""
+    start, end = zip(*form.tails(np.array([a, b])), strict=True)
+    mass = float(_between(start, end))
 
     def tails(y: Array) -> tuple[Array, Array]:
-        below, above = form.tails(y)
-        p = below - below_a
-        q = above - above_b
-        if above_a < 0.5:
-            p = above_a - above
-        if below_b < 0.5:
-            q = below_b - below
-        return np.clip(p / mass, 0.0, 1.0), np.clip(q / mass, 0.0, 1.0)
+        place = form.tails(y)
+        below = _between(start, place) / mass
+        return np.clip(below, 0.0, 1.0), np.clip(_between(place, end) / mass, 0.0, 1.0)
 
     def quantile(p: Array, q: Array) -> Array:
-        lower = below_a + p * mass
-        upper = above_b + q * mass
-        if below_a >= 0.5:
-            return form.quantile(1.0 - upper, upper)
-        if above_b >= 0.5:
-            return form.quantile(lower, 1.0 - lower)
-        return form.quantile(lower, upper)
+        # rounding must not take the larger one beyond 1
+        lower = np.minimum(start[0] + p * mass, 1.0)
+        return form.quantile(lower, np.minimum(end[1] + q * mass, 1.0))
 
     low, high = form.orders
     if a != -math.inf:
@@ -156,23 +149,13 @@ def falling(form: Form, order: float = math.inf) -> Form:
     )
 
 
-def between(
-    cdf: Callable[..., Array], ppf: Callable[..., Array], pdf: Function, *shapes: float
-) -> Form:
-    """A form on [0, 1] that for 1 - y has its shapes in reverse order."""
-    back = shapes[::-1]
-    return Form(
-        tails=lambda y: (cdf(y, *shapes), cdf(1.0 - y, *back)),
-        pdf=pdf,
-        quantile=either(lambda p: ppf(p, *shapes), lambda q: 1.0 - ppf(q, *back)),
-    )
-
-
 # --- the forms that families are made of ----------------------------------------------------------
 
 GAUSS = replace(
     symmetric(
-        lambda y: special.ndtr(y), lambda p: special.ndtri(p), lambda y: np.exp(-0.5 * y * y) / ROOT
+        lambda y: special.ndtr(y),
+        lambda p: special.ndtri(p),
+        lambda y: np.exp(-0.5 * y * y) / math.sqrt(2.0 * math.pi),
     ),
     moments=(0.0, 1.0),
 )
@@ -220,10 +203,6 @@ def gamma(k: float) -> Form:
 
 
 def student_t(dof: float) -> Form:
-    constant = (
-        math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
-    )
-
     def ppf(p: Array) -> Array:
         # stdtrit of SciPy 1.17 answers inf in far tails; below 1e-290 a square of y would overflow
         far = np.maximum(special.betaincinv(0.5 * dof, 0.5, 2.0 * p), 1e-290)
@@ -232,43 +211,46 @@ def student_t(dof: float) -> Form:
         return np.where(p == 0.0, -math.inf, -np.sqrt(dof * ratio))
 
     def pdf(y: Array) -> Array:
-        return np.exp(constant - 0.5 * (dof + 1.0) * np.log1p(y * y / dof))
+        power = 0.5 * (dof + 1.0) * np.log1p(y * y / dof) + special.betaln(0.5, 0.5 * dof)
+        return np.exp(-power) / math.sqrt(dof)
 
     return symmetric(lambda y: special.stdtr(dof, y), ppf, pdf, dof)
 
 
 def triangular(mode: float) -> Form:
-    def cdf(y: Array, a: float, b: float) -> Array:
-        inside = np.clip(y, 0.0, 1.0)
-        return np.where(
-            inside < a, inside * inside / (a or 1.0), 1.0 - (1.0 - inside) ** 2 / (b or 1.0)
-        )
+    rest = 1.0 - mode
 
-    def ppf(p: Array, a: float, b: float) -> Array:
-        return np.where(p <= a, np.sqrt(p * a), 1.0 - np.sqrt((1.0 - p) * b))
+    def tails(y: Array) -> tuple[Array, Array]:
+        y = np.clip(y, 0.0, 1.0)
+        below = y * y / (mode or 1.0)
+        above = (1.0 - y) ** 2 / (rest or 1.0)
+        rises = y < mode
+        return np.where(rises, below, 1.0 - above), np.where(rises, 1.0 - below, above)
 
-    def pdf(y: Array) -> Array:
-        return 2.0 * np.where(
-            y < mode, y / (mode or 1.0), (1.0 - y) / (1.0 - mode) if mode < 1.0 else 1.0
-        )
-
-    # its quantiles have a kink, and quadrature fewer digits
-    moments = (1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)
-    return replace(between(cdf, ppf, pdf, mode, 1.0 - mode), moments=moments)
+    return Form(
+        tails=tails,
+        quantile=lambda p, q: np.where(p <= mode, np.sqrt(p * mode), 1.0 - np.sqrt(q * rest)),
+        pdf=lambda y: 2.0 * np.fmin(y / mode, (1.0 - y) / rest),  # 0/0 counts for nothing
+        # its quantiles have a kink, and quadrature fewer digits
+        moments=((1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)),
+    )
 
 
 def beta(a: float, b: float) -> Form:
-    def pdf(y: Array) -> Array:
-        return np.exp(
-            special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y) - special.betaln(a, b)
-        )
+    def tails(y: Array) -> tuple[Array, Array]:
+        y = np.clip(y, 0.0, 1.0)
+        return special.betainc(a, b, y), special.betaincc(a, b, y)
 
-    return between(
-        lambda y, a, b: special.betainc(a, b, np.clip(y, 0.0, 1.0)),
-        lambda p, a, b: special.betaincinv(a, b, p),
-        pdf,
-        a,
-        b,
+    def pdf(y: Array) -> Array:
+        powers = special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y)
+        return np.exp(powers - special.betaln(a, b))
+
+    return Form(
+        tails=tails,
+        quantile=either(
+            lambda p: special.betaincinv(a, b, p), lambda q: special.betainccinv(a, b, q)
+        ),
+        pdf=pdf,
     )
 
 
@@ -481,10 +463,8 @@ def drawn(law: Law) -> Form:
                 np.log(least + scale * hazard.quantile(*GAUSS.tails(scores))),
             ]
         )
-        start = y[0].min()
-        low = y[1].min()
-        high = y[2].max()
-        end = y[3].max()
+        start, low = y[:2].min(axis=1)
+        high, end = y[2:].max(axis=1)
         tails = np.linspace(max(start, -690.0), low, 1000)[:-1], np.linspace(high, end, 1000)[1:]
         return np.concatenate([tails[0], np.linspace(low, high, 4001), tails[1]])
 

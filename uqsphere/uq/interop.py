@@ -65,8 +65,10 @@ def joint_to_chaospy(inputs: Joint) -> Distribution:
             "chaospy has no Student t copula of this form; only a Gaussian one goes over"
         )
     laws = [_law_to_chaospy(chaospy, law) for law in inputs.laws]
-    if inputs.correlation is None:
-        return laws[0] if len(laws) == 1 else chaospy.J(*laws)
+    if len(laws) == 1:
+        return laws[0]
+    if not inputs.dependent:
+        return chaospy.J(*laws)
     return chaospy.Nataf(chaospy.J(*laws), inputs.correlation)
 
 

@@ -108,8 +108,7 @@ def _score(variate: Array, dof: float) -> Array:
     """Normal score of Student's t variate."""
     if math.isinf(dof):
         return variate
-    with np.errstate(divide="ignore"):
-        return np.clip(GAUSS.quantile(*student_t(dof).tails(variate)), -CERTAIN, CERTAIN)
+    return np.clip(GAUSS.quantile(*student_t(dof).tails(variate)), -CERTAIN, CERTAIN)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,14 +138,14 @@ class Dependence:
             raise LawError(
                 f"a dependence must name at least two different inputs, not {list(self.of)}", "of"
             )
-        ranks = {"spearman": self.spearman, "kendall": self.kendall}
-        named = [(key, rank) for key, rank in ranks.items() if rank is not None]
-        if len(named) != 1:
+        key, rank = "spearman", self.spearman
+        if rank is None:
+            key, rank = "kendall", self.kendall
+        if rank is None or None not in (self.spearman, self.kendall):
             raise LawError(
                 "one rank correlation between -1 and 1 is required, spearman or kendall",
-                "kendall" if named else "",
+                "" if rank is None else "kendall",
             )
-        key, rank = named[0]
         if not -1.0 < rank < 1.0:
             raise LawError(f"{key} must lie strictly between -1 and 1, found {rank:g}", key)
         if (self.copula == "student_t") != (dof is not None):
@@ -185,11 +184,6 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
     # rho is 1 for r = 1, which the points should say too
     whole = np.arcsin(factor).mean()
     return float(brentq(lambda r: np.arcsin(r * factor).mean() / whole - spearman, -1.0, 1.0))
-
-
-def _ties(correlation: Array) -> bool:
-    """Whether any two of the variables go together."""
-    return bool(np.any(correlation - np.eye(len(correlation))))
 
 
 # --- several inputs -------------------------------------------------------------------------------
@@ -243,15 +237,13 @@ class Joint:
         return bool(self.blocks)
 
     @property
-    def correlation(self) -> Array | None:
-        """Correlation (d, d) of the normal scores under the Gaussian copula; None if no two are
-        tied so.
-        """
+    def correlation(self) -> Array:
+        """Correlation (d, d) of the normal scores under the Gaussian copula."""
         matrix = np.eye(len(self.names))
         for columns, copula in self.blocks:
             if math.isinf(copula.dof):
                 matrix[np.ix_(columns, columns)] = copula.correlation
-        return matrix if _ties(matrix) else None
+        return matrix
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
@@ -271,11 +263,10 @@ class Joint:
         """Inputs (n, d) in SI -> dependent normal scores (n, d), within 8 standard deviations:
         1e-15 lies beyond.
         """
-        columns = [
-            GAUSS.quantile(*law.tails(column))
-            for law, column in zip(self.laws, physical.T, strict=True)
-        ]
-        return np.clip(np.column_stack(columns), -8.0, 8.0)
+        scores = np.empty(physical.shape)
+        for k, law in enumerate(self.laws):
+            scores[:, k] = GAUSS.quantile(*law.tails(physical[:, k]))
+        return np.clip(scores, -8.0, 8.0)
 
     def normals(self, physical: Array) -> Array:
         """Inputs (n, d) in SI -> independent standard normals (n, d): the inverse of `physical`."""
@@ -293,7 +284,8 @@ class Joint:
         for columns, copula in self.blocks:
             kept = [columns.index(k) for k in at if k in columns]
             copula = copula.among(kept)
-            if len(kept) > 1 and (_ties(copula.correlation) or math.isfinite(copula.dof)):
+            tied = np.any(copula.correlation - np.eye(len(kept))) or math.isfinite(copula.dof)
+            if len(kept) > 1 and tied:
                 blocks.append((tuple(at.index(columns[k]) for k in kept), copula))
         return Joint(names=tuple(names), laws=tuple(self.laws[k] for k in at), blocks=tuple(blocks))
 
@@ -370,7 +362,7 @@ def make_joint(
                 raise LawError(f"the dependence of {first} and {second} is given twice", "of")
             pairs.add(pair)
             correlation[pair] = correlation[pair[::-1]] = copula.correlation[0, 1]
-    tied = sorted(set(chain.from_iterable(pairs)))
+    tied = sorted(set(chain(*pairs)))
     taken = list(chain(tied, *(columns for columns, _ in blocks)))
     for column in taken:
         if taken.count(column) > 1:
@@ -381,7 +373,7 @@ def make_joint(
             )
     if tied:
         gaussian = Copula(correlation=correlation).among(tied)
-        smallest = float(np.linalg.eigvalsh(gaussian.correlation)[0])
+        smallest = np.linalg.eigvalsh(gaussian.correlation)[0]
         if smallest < _SMALLEST:
             raise LawError(
                 "the dependences cannot hold together: the correlation matrix is not positive "

@@ -78,6 +78,7 @@ class Law:
         return self.family.bounded or (math.isinf(self.lower) and math.isinf(self.upper))
 
     @cached_property
+    @np.errstate(divide="ignore", over="ignore")
     def _form(self) -> Form:
         """The standard form in force: the bounds of a bounded family are its own, and steps are
         left out.
@@ -85,15 +86,13 @@ class Law:
         form = self._whole[2]
         if self._untruncated or form.pdf is no_density:
             return form
-        with np.errstate(divide="ignore"):
-            a, b = self._standard(np.array([self.lower, self.upper])).tolist()
-        return truncated(form, a, b)
+        return truncated(form, *self._standard(np.array([self.lower, self.upper])))
 
     def _standard(self, x: Array) -> Array:
         location, scale, _ = self._whole
         if self.family.logarithmic:
             x = np.log(np.maximum(x, 0.0))
-        return np.asarray((x - location) / scale)
+        return (x - location) / scale
 
     def _physical(self, y: Array) -> Array:
         location, scale, _ = self._whole
@@ -192,13 +191,14 @@ class Law:
         x = self.from_normal(z)
         # Far out a tail probability times a small mass can underflow; those nodes weigh nothing
         # anyway.
-        weights = weights[np.isfinite(x)]
-        x = x[np.isfinite(x)]
-        if not x.size:
+        known = np.isfinite(x)
+        if not known.any():
             return math.inf, math.inf
-        middle = float(x[len(x) // 2])
-        centre = middle + float(weights @ (x - middle))
-        sd = math.sqrt(float(weights @ (x - centre) ** 2))
+        weights = weights[known]
+        x = x[known]
+        middle = x[x.size // 2]
+        centre = float(middle + weights @ (x - middle))
+        sd = math.sqrt(weights @ (x - centre) ** 2)
         if abs(centre) < 1e-15 * sd < math.inf:
             centre = 0.0
         return centre, sd
@@ -206,12 +206,8 @@ class Law:
     def mean(self) -> float:
         """Mean of the law in force; nan or ±inf where there is none."""
         low, high = (order <= 1.0 for order in self.tail_orders())
-        if low and high:
-            return math.nan
-        if high:
-            return math.inf
-        if low:
-            return -math.inf
+        if low or high:
+            return math.inf * (high - low)  # inf times 0 is nan
         return self._moments[0]
 
     def sd(self) -> float:

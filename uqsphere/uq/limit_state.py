@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -47,25 +48,20 @@ class LimitState:
     demands: Array
     strength: Law | float
     tie: Tie | None = None
-    censored: Flags | None = None
-    failed: Flags | None = None
+    censored: Flags | bool = False
+    failed: Flags | bool = False
     on_failure: str = "drop"
     method: str = "randomised quasi-Monte Carlo, strength integrated"
 
     @property
     def broken(self) -> Flags:
         """Rows without a demand (R, n)."""
-        missing = np.isnan(self.demands)
-        if self.failed is not None:
-            missing |= self.failed
-        return missing
+        return np.isnan(self.demands) | self.failed
 
     @property
     def late(self) -> Flags:
         """Rows whose demand is only a lower bound (R, n)."""
-        if self.censored is None:
-            return np.zeros(self.demands.shape, dtype=bool)
-        return self.censored & ~self.broken
+        return ~self.broken & self.censored
 
     def score_given_inputs(self, score: Array) -> Array:
         """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own
@@ -84,12 +80,8 @@ class LimitState:
         return self.tie.score_at(score)
 
 
-def score_of(below: Array, above: Array) -> Array:
-    """Normal score of a probability that is given with its complement, through the smaller of the
-    two.
-    """
-    with np.errstate(divide="ignore"):
-        return GAUSS.quantile(below, above)
+#: normal score of a probability that is given with its complement, through the smaller of the two
+score_of = GAUSS.quantile
 
 
 def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
@@ -100,8 +92,8 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
     broken = state.broken
     demands = np.where(broken, 0.0, state.demands) * factor
     if not isinstance(strength, Law):
-        below = (demands > strength).astype(float)
-        above = (demands <= strength).astype(float)
+        below = np.where(demands > strength, 1.0, 0.0)
+        above = 1.0 - below
     elif strength.is_steps:
         # P(S < d): an observation that equals the demand has not been exceeded.
         below, above = strength.tails(np.nextafter(demands, -math.inf))
@@ -119,28 +111,22 @@ def _interval(
 
     None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
     """
-    size = float(counts.sum())
-    p = float(event.sum()) / size
-    q = float(other.sum()) / size
+    size = counts.sum()
+    p = float(event.sum() / size)
+    q = float(other.sum() / size)
     # The smaller side has the digits.
     rows = (event if p <= q else other).sum(axis=1) / counts
     return p / (p + q), *probability_ends(p, q, spread(rows, cell), rows.size, size)
 
 
-def exceedance(state: LimitState) -> Estimate:
-    """Probability that the demand exceeds the strength.
+def failure_of_aim(state: LimitState, aim: str) -> Estimate:
+    """Probability that the aim is missed: that the demand exceeds the strength for "survive", of
+    its complement for "break".
 
     >>> law = make_law("uniform", {}, 0.0, 1.0)
     >>> demands = np.full((4, 8), 0.25)
-    >>> exceedance(LimitState(demands=demands, strength=law)).value
+    >>> failure_of_aim(LimitState(demands=demands, strength=law), "survive").value
     0.25
-    """
-    return failure_of_aim(state, "survive")
-
-
-def failure_of_aim(state: LimitState, aim: str) -> Estimate:
-    """Probability that the aim is missed: of exceedance for "survive", of its complement for
-    "break".
     """
     below, above = tails(state)
     broken, late, (replicates, n) = state.broken, state.late, state.demands.shape
@@ -167,7 +153,7 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
         causes = {"censored": late, "failed": lost}
         named = " and ".join(cause for cause, rows in causes.items() if rows.any())
         method += f", interval widened for {named} rows"
-    largest = float(event.max()) / (float(event.sum()) or 1.0)
+    largest = event.max() / (event.sum() or 1.0)
     if largest > 0.2:
         method += f", one sample carries {100.0 * largest:.0f} %"
     return bounded(value, low, high, error, method, broken.size)
@@ -227,7 +213,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     counts = (~broken).sum(axis=1).astype(float)
     method = state.method
     zero = "the demand may be zero: the margin is unbounded"
-    doubtful = strength.cdf(0.0) if isinstance(strength, Law) else float(strength <= 0.0)
+    doubtful = strength.cdf(0.0) if isinstance(strength, Law) else strength <= 0.0
     if doubtful > 1e-6:
         reason = "the strength may be zero or negative: strength over demand has no meaning"
         return absent(reason, method, total)
@@ -252,21 +238,17 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     positive = state.demands[~broken & (state.demands > 0.0)]
     if positive.size <= p * counts.sum():
         return absent(zero, method, total)
-    typical = float(strength.ppf(p)) / float(np.median(positive))
 
     @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
-    def replicates(margin: float) -> Array:
-        return np.asarray(tails(state, margin)[0].sum(axis=1) / counts)
-
     def pooled(margin: float) -> float:
-        return float(replicates(margin) @ counts / counts.sum())
+        return float(tails(state, margin)[0].sum() / counts.sum())
 
-    margin = _root(pooled, p, typical)
+    margin = _root(pooled, p, float(strength.ppf(p) / np.median(positive)))
     if margin is None:
         return absent("no margin has this probability", method, total)
-    unsure = float(late.sum()) / counts.sum()
-    lost = float(broken.sum()) / total if state.on_failure == "bound" else 0.0
-    error = spread(replicates(margin))
+    unsure = late.sum() / counts.sum()
+    lost = broken.mean() * (state.on_failure == "bound")
+    error = spread(tails(state, margin)[0].sum(axis=1) / counts)
     lowest, highest, _ = probability_ends(p, 1.0 - p, error, counts.size, total)
     least = _root(pooled, lowest - unsure - lost, margin)
     most = _root(pooled, highest + lost, margin)
@@ -288,21 +270,21 @@ def _root(
 
     if not 0.0 < probability < 1.0:
         return None
-    target = float(special.ndtri(probability))
+    target = special.ndtri(probability)
     middle = math.log(near)
     half = 0.05
 
     @cache
     def gap(u: float) -> float:
         share = min(max(probability_at(math.exp(min(u, 700.0))), 1e-300), 1.0 - 1e-16)
-        return float(special.ndtri(share)) - target
+        return float(special.ndtri(share) - target)
 
     while gap(middle - half) > 0.0 or gap(middle + half) < 0.0:
         half *= 2.0
         # within a factor of e^±600 there is none: the median lies where the demand changes its sign
         if half > 600.0:
             return None
-    return math.exp(float(brentq(gap, middle - half, middle + half, xtol=1e-9, rtol=1e-12)))
+    return math.exp(brentq(gap, middle - half, middle + half, xtol=1e-9, rtol=1e-12))
 
 
 # --- several limits at once -----------------------------------------------------------------------
@@ -321,27 +303,17 @@ class Union:
     `failure_given_inputs` (L, R, n): that a limit is exceeded given the inputs and that those
     before it hold; `holding` (L, R, n): the independent normals behind strengths that hold;
     `factor` (L, L): lower Cholesky factor of the correlation of the strengths' normal scores given
-    the inputs.
+    the inputs; `broken` (R, n): samples without an answer; `any`, `none` (R, n): probability that
+    any limit is exceeded given the inputs, 0 for samples without an answer, and that none is.
     """
 
     states: tuple[LimitState, ...]
     failure_given_inputs: Array
     holding: Array
     factor: Array
-
-    @property
-    def broken(self) -> Flags:
-        """Samples without an answer (R, n)."""
-        return np.asarray(np.logical_or.reduce([state.broken for state in self.states]), dtype=bool)
-
-    @property
-    def any(self) -> Array:
-        """Probability that any limit is exceeded, given the inputs (R, n); 0 for samples without an
-        answer.
-        """
-        with np.errstate(divide="ignore"):
-            exceeded = -np.expm1(np.log1p(-self.failure_given_inputs).sum(axis=0))
-        return np.where(self.broken, 0.0, exceeded)
+    broken: Flags
+    any: Array
+    none: Array
 
 
 def residual_correlation(covariance: Array) -> Array:
@@ -352,9 +324,8 @@ def residual_correlation(covariance: Array) -> Array:
     [[1.0, 0.0], [0.0, 1.0]]
     """
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    random = deviation > 1e-7
-    scale = np.where(random, deviation, 1.0)
-    correlation = np.where(np.outer(random, random), covariance / np.outer(scale, scale), 0.0)
+    scale = (deviation > 1e-7) / np.maximum(deviation, 1e-7)
+    correlation = covariance * np.outer(scale, scale)
     np.fill_diagonal(correlation, 1.0)
     # strengths that are one and the same given the inputs leave a factor of rank less than L
     return np.asarray(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(correlation))))
@@ -376,11 +347,17 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
             below, above = GAUSS.tails((score_of(below, above) - centre) / factor[j, j])
         failure_given_inputs[j] = np.where(state.broken, 0.0, below)
         holding[j] = -_drawn_below(above, rng)
+    broken = np.logical_or.reduce([state.broken for state in states])
+    with np.errstate(divide="ignore"):
+        held = np.log1p(-failure_given_inputs).sum(axis=0)
     return Union(
         states=tuple(states),
         failure_given_inputs=failure_given_inputs,
         holding=holding,
         factor=factor,
+        broken=broken,
+        any=np.where(broken, 0.0, -np.expm1(held)),
+        none=np.exp(held),
     )
 
 
@@ -396,20 +373,17 @@ def union_state(union: Union) -> LimitState:
 
     Without any random strength it is counted: something over a strength of 1, or below it.
     """
-    p, (first, *_) = union.any, union.states
     counted = LimitState(
-        demands=np.where(p > 0.5, 2.0, 0.5),
+        demands=np.where(union.any > 0.5, 2.0, 0.5),
         strength=1.0,
         failed=union.broken,
-        on_failure=first.on_failure,
+        on_failure=union.states[0].on_failure,
     )
     if not any(isinstance(state.strength, Law) for state in union.states):
         return counted
-    with np.errstate(divide="ignore"):
-        held = np.log1p(-union.failure_given_inputs).sum(axis=0)
     return replace(
         counted,
-        demands=np.clip(score_of(p, np.exp(held)), -CERTAIN, CERTAIN),
+        demands=np.clip(score_of(union.any, union.none), -CERTAIN, CERTAIN),
         strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
         method="randomised quasi-Monte Carlo, strengths integrated",
     )
@@ -443,7 +417,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     rows = np.stack([rng.choice(n, count, p=row / row.sum()) for row in chances])
     pick = np.arange(replicates)[:, None], rows
     failing = union.failure_given_inputs[:, *pick]
-    normals = union.holding[:, *pick].copy()
+    normals = union.holding[:, *pick]
     # which limit, in the order of the list, is the first not to hold
     held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - failing]), axis=0)
     course = np.cumsum(held[:-1] * failing, axis=0)
@@ -455,13 +429,13 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
     scores = np.tensordot(union.factor, normals, axes=1)
     shares = np.empty_like(scores)
     for j, state in enumerate(union.states):
-        strengths = np.full(rows.shape, state.strength)
+        strengths: Any = state.strength
         demands = state.demands[pick]
-        if isinstance(state.strength, Law):
+        if isinstance(strengths, Law):
             score = scores[j]
             if state.tie is not None:
                 score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
-            strengths = state.strength.from_normal(score)
+            strengths = strengths.from_normal(score)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(
                 demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf)
@@ -478,6 +452,6 @@ def weighted_quantile(
     Woodruff (1952).
     """
     replicates, m = values.shape
-    read = sample_reader(values, np.repeat(weights, m).reshape(values.shape))
+    read = sample_reader(values, np.broadcast_to(weights[:, None], values.shape))
     error = spread(weights * ((values <= read(p)).mean(axis=1) - p), 1.0 / m)
     return quantile([read], p, error, replicates, method, evaluations)
