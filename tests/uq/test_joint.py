@@ -184,8 +184,8 @@ def test_the_tie_of_what_is_not_drawn() -> None:
     assert other is not None
     assert other.columns == (1,)
     assert np.array_equal(other.scores, scores[:, [1]])
-    assert joint.tie("e", ("a", "d"), scores[:, :2]) is None
-    assert joint.tie("d", ("a", "b"), scores[:, :2]) is None
+    assert joint.tie("e", ("a", "d"), scores[:, :2]).columns == ()
+    assert joint.tie("d", ("a", "b"), scores[:, :2]).columns == ()
 
 
 @pytest.mark.parametrize(

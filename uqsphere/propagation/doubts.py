@@ -35,6 +35,7 @@ from uqsphere.uq.fitting import (
     probability_of,
     series_behind,
 )
+from uqsphere.uq.joint import FREE
 
 #: strengths that tests allow
 LAWS = 400
@@ -313,7 +314,7 @@ class Curves:
         """
         state = self.line.state(limit)
         if not tied:
-            state = replace(state, tie=None)
+            state = replace(state, tie=FREE)
         hold = self._held.get(limit.name)
         means = []
         for strength in laws or [state.strength]:

@@ -158,14 +158,13 @@ def drivers(design: Design, tables: Tables) -> Rows:
         subject = design.subject(limit)
         moved = np.zeros(gradients.shape)
         tie = state.tie
-        if tie is not None:
-            # a strength that depends on an input stays where it was while the input moves
-            for step, column in zip(STEP * np.eye(len(tie.columns)), tie.columns, strict=True):
-                below, above = (
-                    failure_given_inputs(replace(state, tie=replace(tie, scores=at)), limit.aim)
-                    for at in (tie.scores - step, tie.scores + step)
-                )
-                moved[:, :, column] = (below - above) / (2.0 * STEP)
+        # a strength that depends on an input stays where it was while the input moves
+        for step, column in zip(STEP * np.eye(len(tie.columns)), tie.columns, strict=True):
+            below, above = (
+                failure_given_inputs(replace(state, tie=replace(tie, scores=at)), limit.aim)
+                for at in (tie.scores - step, tie.scores + step)
+            )
+            moved[:, :, column] = (below - above) / (2.0 * STEP)
         changes = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
@@ -174,7 +173,7 @@ def drivers(design: Design, tables: Tables) -> Rows:
         if isinstance(law, Law) and not law.is_steps:
             score = score_of(*law.tails(state.demands))
             low, high = (
-                special.ndtr(sign_of(limit) * state.score_given_inputs(score + step)).mean(axis=1)
+                special.ndtr(sign_of(limit) * tie.conditional_score(score + step)).mean(axis=1)
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)

@@ -221,6 +221,6 @@ def _physical(
     if isinstance(law, Law):
         # failure is z below the score of the demand: the strength there
         z = np.full((1, 1), sign_of(limit) * point[size])
-        score = state_of(design, limit, sample).score_drawn(z)
+        score = state_of(design, limit, sample).tie.score_at(z)
         values[strength_name(limit.name)] = law.from_normal(score)[0, 0]
     return values

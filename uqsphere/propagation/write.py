@@ -407,7 +407,7 @@ def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
     for limit in design.limits:
         state = state_of(design, limit, head)
         if isinstance(state.strength, Law):
-            drawn = state.score_drawn(generator.standard_normal(state.demands.shape))
+            drawn = state.tie.score_at(generator.standard_normal(state.demands.shape))
             table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
     table |= {name: head.outputs(name) for name in head.quantities}
     if head.censored.any():

@@ -104,12 +104,10 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
     scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
     passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
     crossings = np.full(passes.size, math.nan)
-    # of curves with the same root SciPy gives it to the first one alone
-    different, place = np.unique(scores, axis=1, return_inverse=True)
-    roots = PchipInterpolator(places, different).roots(extrapolate=False)
     for r in np.flatnonzero(passes):
+        roots = PchipInterpolator(places, scores[:, r]).roots(extrapolate=False)
         nearest = places[np.abs(scores[:, r]).argmin()]
-        crossings[r] = next(filter(np.isfinite, roots[place[r]]), nearest)
+        crossings[r] = next(filter(np.isfinite, roots), nearest)
     return crossings
 
 
@@ -127,7 +125,7 @@ def _value(
     def crossings(curves: Array, every: Any = slice(None)) -> Array:
         return _crossings(places[every], curves[every], target, least)
 
-    centre = float(crossings(pooled)[0])
+    centre = crossings(pooled)[0]
     if math.isnan(centre):
         reason = (
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
@@ -137,13 +135,13 @@ def _value(
     replicates = crossings(probabilities)
     half = student(replicates.size) * spread(replicates)
     if folds is not None:
-        half = math.hypot(half, float(fold_spread(crossings(folds))))
+        half = math.hypot(half, fold_spread(crossings(folds)))
     if math.isnan(half):
         reason = "too close to an end of the range: some replicates do not reach it"
         return absent(reason, METHOD, 0)
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
-    other = float(crossings(pooled, np.unique([*range(0, grid.size, 2), grid.size - 1]))[0])
+    other = crossings(pooled, np.unique([*range(0, grid.size, 2), grid.size - 1]))[0]
     if not math.isnan(other):
         half += abs(other - centre) / 4.0
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))

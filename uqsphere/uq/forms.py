@@ -365,10 +365,11 @@ def empirical(law: Law) -> Form:
 
 def bandwidth(data: Array) -> float:
     """Width of the Gaussian kernel: 0.9 min(sd, IQR/1.34) n^(-1/5) (Silverman 1986)."""
-    sd = float(np.std(data, ddof=1))
-    quartiles = np.quantile(data, [0.25, 0.75])
-    spread = float(quartiles[1] - quartiles[0]) / 1.34
-    return float(0.9 * (min(sd, spread) if spread > 0.0 else sd) * data.size**-0.2)
+    width = np.std(data, ddof=1)
+    quarter, rest = np.quantile(data, [0.25, 0.75])
+    if rest > quarter:
+        width = min(width, (rest - quarter) / 1.34)
+    return float(0.9 * width * data.size**-0.2)
 
 
 # --- means of many laws ---------------------------------------------------------------------------

@@ -78,7 +78,7 @@ def _ends(law: Law) -> list[float]:
 
 
 def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
-    ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
+    ends = law.ends
     if (law.family.bounded or not ends) and law.family.name in CHAOSPY:
         return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *ends)
     low, high = _ends(law)
@@ -119,17 +119,14 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
     """
     if inputs.dependent:
         raise UsageError("the inputs depend on each other, which SALib's indices do not allow for")
+    kinds = {(family, len(keys.split())): kind for kind, (family, keys) in SALIB.items()}
     dists = []
     bounds = []
     for law in inputs.laws:
-        ends = [end for end in (law.lower, law.upper) if np.isfinite(end)]
-        numbers = [*ends, *law.parameters.values()]
-        dist = "unif"
-        for name, (family, keys) in SALIB.items():
-            if family == law.family.name and len(keys.split()) == len(numbers):
-                dist = name
-                break
-        else:
+        numbers = [*law.ends, *law.parameters.values()]
+        dist = kinds.get((law.family.name, len(numbers)))
+        if dist is None:
+            dist = "unif"
             numbers = _ends(law)
         if dist == "triang":
             numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)

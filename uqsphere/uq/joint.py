@@ -192,7 +192,7 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tie:
     """An input that is not drawn: the last member of `copula`, given the normal `scores` (..., size
-    - 1) of others, which are these columns of the inputs that are drawn."""
+    - 1) of others, which are these columns of the inputs that are drawn; there may be none."""
 
     copula: Copula
     scores: Array
@@ -207,9 +207,15 @@ class Tie:
         return self._mapped(self.copula.score_at, normal)
 
     def _mapped(self, function: Callable[[Array, Array], Array], score: Array) -> Array:
+        if not self.columns:
+            return score
         near = np.clip(score, -CERTAIN, CERTAIN).ravel()
         mapped = function(self.scores.reshape(near.size, -1), near)
         return np.where(np.isinf(score), score, mapped.reshape(score.shape))
+
+
+#: what depends on no input
+FREE = Tie(copula=Copula(correlation=np.eye(1)), scores=np.empty(0), columns=())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -314,9 +320,9 @@ class Joint:
             gradients[:, columns] = copula.score_gradient(scores[:, columns])
         return gradients
 
-    def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie | None:
+    def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie:
         """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores
-        (..., d); or None.
+        (..., d).
         """
         at = self.names.index(target)
         for block, copula in self.blocks:
@@ -328,7 +334,7 @@ class Joint:
                 columns = tuple(list(drawn).index(self.names[block[k]]) for k in others)
                 among = copula.among([*others, member])
                 return Tie(copula=among, scores=scores[..., columns], columns=columns)
-        return None
+        return FREE
 
 
 def make_joint(

@@ -55,7 +55,7 @@ class Law:
     def __repr__(self) -> str:
         numbers = ", ".join(f"{key} = {value:.6g}" for key, value in self.parameters.items())
         ends = ""
-        if not (math.isinf(self.lower) and math.isinf(self.upper)):
+        if self.ends:
             ends = f" on [{self.lower:.6g}, {self.upper:.6g}]"
         return f"<Law {self.family.name}({numbers}){ends}>"
 
@@ -75,7 +75,7 @@ class Law:
 
     @property
     def _untruncated(self) -> bool:
-        return self.family.bounded or (math.isinf(self.lower) and math.isinf(self.upper))
+        return self.family.bounded or not self.ends
 
     @cached_property
     @np.errstate(divide="ignore", over="ignore")
@@ -100,6 +100,11 @@ class Law:
         if self.family.logarithmic:
             return np.exp(x)
         return x
+
+    @property
+    def ends(self) -> list[float]:
+        """Those of the bounds that are finite."""
+        return [end for end in (self.lower, self.upper) if math.isfinite(end)]
 
     @property
     def is_steps(self) -> bool:

@@ -31,7 +31,7 @@ from uqsphere.uq.estimate import (
     student,
 )
 from uqsphere.uq.forms import CERTAIN, GAUSS
-from uqsphere.uq.joint import Tie
+from uqsphere.uq.joint import FREE, Tie
 from uqsphere.uq.law import Law, make_law
 
 
@@ -47,7 +47,7 @@ class LimitState:
 
     demands: Array
     strength: Law | float
-    tie: Tie | None = None
+    tie: Tie = FREE
     censored: Flags | bool = False
     failed: Flags | bool = False
     on_failure: str = "drop"
@@ -62,22 +62,6 @@ class LimitState:
     def late(self) -> Flags:
         """Rows whose demand is only a lower bound (R, n)."""
         return ~self.broken & self.censored
-
-    def score_given_inputs(self, score: Array) -> Array:
-        """Normal score of P(strength < demand | inputs) (R, n), where that of the strength's own
-        law is `score`.
-        """
-        if self.tie is None:
-            return score
-        return self.tie.conditional_score(score)
-
-    def score_drawn(self, score: Array) -> Array:
-        """Normal score (R, n) of the strength's own law, where that of P(strength < it | inputs) is
-        `score`.
-        """
-        if self.tie is None:
-            return score
-        return self.tie.score_at(score)
 
 
 #: normal score of a probability that is given with its complement, through the smaller of the two
@@ -99,7 +83,7 @@ def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
         below, above = strength.tails(np.nextafter(demands, -math.inf))
     else:
         below, above = strength.tails(demands)
-    if state.tie is not None:
+    if state.tie.columns:
         below, above = GAUSS.tails(state.tie.conditional_score(score_of(below, above)))
     return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
 
@@ -433,7 +417,7 @@ def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breakin
         demands = state.demands[pick]
         if isinstance(strengths, Law):
             score = scores[j]
-            if state.tie is not None:
+            if state.tie.columns:
                 score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
             strengths = strengths.from_normal(score)
         with np.errstate(divide="ignore", invalid="ignore"):

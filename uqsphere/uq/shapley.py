@@ -40,10 +40,12 @@ from uqsphere.uq.response import METHOD, Response
 #: inputs up to which all orders are taken (6! = 720), and random orders of more of them, each with
 #: its reverse
 MOST_EXACT, ORDERS = 6, 64
+#: points of each replicate
+POINTS = 512
 
 
 def closed_effects(
-    function: Callable[[Array, int], Array], joint: Joint, *, points: int = 512, seed: int = 0
+    function: Callable[[Array, int], Array], joint: Joint
 ) -> Callable[[tuple[int, ...]], Array]:
     """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a
     set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
@@ -51,16 +53,14 @@ def closed_effects(
     designs = []
     for replicate in range(REPLICATES):
         normals = special.ndtri(
-            sobol_points(
-                dimension=3 * d, count=points, seed=seed, task="shapley", replicate=replicate
-            )
+            sobol_points(dimension=3 * d, count=POINTS, seed=0, task="shapley", replicate=replicate)
         )
         base = joint.scores(normals[:, :d])
         y = function(base, replicate), function(joint.scores(normals[:, 2 * d :]), replicate)
         designs.append((base, normals[:, d : 2 * d], y))
     every = np.array([y for _, _, (y, _) in designs])
-    centre = float(every.mean())
-    unit = float(every.std())
+    centre = every.mean()
+    unit = every.std()
 
     @cache
     def closed(subset: tuple[int, ...]) -> Array:
@@ -126,8 +126,5 @@ def _orders(d: int) -> list[tuple[int, ...]]:
     if d <= MOST_EXACT:
         return list(permutations(range(d)))
     generator = random_generator(seed=0, task="shapley orders")
-    orders = list[tuple[int, ...]]()
-    for _ in range(ORDERS):
-        order = tuple(generator.permutation(d).tolist())
-        orders += [order, order[::-1]]
-    return orders
+    orders = [tuple(generator.permutation(d).tolist()) for _ in range(ORDERS)]
+    return [*orders, *(order[::-1] for order in orders)]

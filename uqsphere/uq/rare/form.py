@@ -66,19 +66,19 @@ def find_design_points(
         finite = np.isfinite(values)
         if not finite.any():
             return ()
-        scale = float(np.ptp(values[finite]))
+        scale = np.ptp(values[finite])
         if finite[0]:
-            scale = max(abs(float(values[0])), scale)
+            scale = max(abs(values[0]), scale)
         if not scale > 0.0:
             return ()
         sign = -1.0 if values[0] < 0.0 else 1.0
         for start in np.concatenate(first):
             point, value, slope = _search(evaluator, start, scale, last)
-            length = float(np.linalg.norm(slope))
+            length = np.linalg.norm(slope)
             distance = float(np.linalg.norm(point))
             direction = -slope / (length or 1.0)
-            along = float(point @ direction)
-            off = float(np.linalg.norm(point - along * direction))
+            along = point @ direction
+            off = np.linalg.norm(point - along * direction)
             nearest = off < 0.02 * max(1.0, distance) and sign * along > -1e-6
             if nearest and abs(value[0]) < 1e-3 * length:
                 points.append(DesignPoint(point=point, beta=sign * distance, direction=direction))

@@ -104,7 +104,7 @@ def by_kriging(
     estimate = _corrected(evaluator, surrogate, answer, accuracy)
     size = plain.answers.size
     if estimate is None:
-        failures = float(np.nansum(evaluator.mass(plain.points, plain.answers)))
+        failures = np.nansum(evaluator.mass(plain.points, plain.answers))
         high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
         reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
         return replace(absent(reason, METHOD, evaluator.count, below=high), high_unseen=high)
@@ -123,8 +123,7 @@ def _corrected(
         return None
     places = answer.draws.points.reshape(-1, evaluator.dimension)
     order = random_generator(seed=evaluator.seed, task="fresh calls").permutation(len(places))
-    off = np.empty(0)
-    variance = np.empty(0)
+    off = variance = np.empty(0)
     block = LEAST_FRESH
     value = 0.0
     half = math.inf
@@ -133,10 +132,10 @@ def _corrected(
         ratio = answer.draws.mixture.ratio(fresh)
         truth = np.nan_to_num(evaluator.mass(fresh), nan=0.5)
         off = np.append(off, (truth - model.mass(fresh, surrogate.mean(fresh))) * ratio)
-        doubt = surrogate.doubt(fresh, model.integrated) * ratio
-        variance = np.append(variance, doubt * ratio)
+        doubt = surrogate.doubt(fresh, model.integrated)
+        variance = np.append(variance, doubt * ratio**2)
         # counted changes of side, or the expected ones where fewer were counted
-        error = math.sqrt(max(float(off.var()), float(variance.mean())) / off.size)
+        error = math.sqrt(max(off.var(), variance.mean()) / off.size)
         shift = float(off.mean())
         if shift:
             shift *= shift**2 / (shift**2 + error**2)
@@ -186,7 +185,7 @@ class Kriging:
         slopes = np.linalg.pinv(np.linalg.qr(basis, mode="r"))
         of_trend = (_basis(points) - whitened.T @ basis) @ slopes
         unknown = 1.0 - (whitened**2).sum(axis=0) + (of_trend**2).sum(axis=1)
-        return np.asarray(math.sqrt(self.variance) * np.sqrt(np.maximum(unknown, NUGGET)))
+        return np.asarray(np.sqrt(self.variance * np.maximum(unknown, NUGGET)))
 
     def doubt(self, points: Array, integrated: bool) -> Array:
         """The mass of failure (n,) that may stand on the wrong side at points (n, d): the expected
@@ -222,9 +221,9 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
     squares = (points[:, None, :] - points) ** 2
     basis = _basis(points)
 
-    def process(lengths: Array, inverse_squares: Array) -> tuple[Kriging, Array, Any]:
+    def process(lengths: Array) -> tuple[Kriging, Array, Any]:
         """The process of these lengths, its correlations, and the inverse of their factor."""
-        shared = np.exp(-0.5 * squares @ inverse_squares)
+        shared = np.exp(-0.5 * squares @ lengths**-2.0)
         nugget = NUGGET
         while True:
             try:
@@ -238,25 +237,22 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
         inverse = np.linalg.inv(factor)
         weights = inverse.T @ (inverse @ residuals)
         variance = max(float(residuals @ weights) / n, 1e-300)
-        fit = Kriging(points, lengths, trend, factor, weights, variance)
-        return fit, shared, inverse
+        return Kriging(points, lengths, trend, factor, weights, variance), shared, inverse
 
     def loss(logs: Array) -> tuple[float, Array]:
         """Minus twice the logarithm of the likelihood over n, and its slope."""
-        inverse_squares = np.exp(-2.0 * logs)
-        fit, shared, inverse = process(np.exp(logs), inverse_squares)
-        value = math.log(fit.variance) + 2.0 * float(np.log(np.diag(fit.factor)).sum()) / n
+        fit, shared, inverse = process(np.exp(logs))
+        value = math.log(fit.variance) + 2.0 * np.log(np.diag(fit.factor)).mean()
         # d loss = trace((K^-1 - w w' / variance) dK) / n
         outer = np.outer(fit.weights, fit.weights) / fit.variance
         core = (inverse.T @ inverse - outer) * shared / n
-        return value, np.tensordot(core, squares, axes=2) * inverse_squares
+        return value, np.tensordot(core, squares, axes=2) * fit.lengths**-2.0
 
     bounds = [(math.log(SHORTEST), math.log(LONGEST))] * d
     best = minimize(
         loss, np.log(start), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20}
     )
-    lengths = np.exp(best.x)
-    return process(lengths, lengths**-2.0)[0]
+    return process(np.exp(best.x))[0]
 
 
 def _basis(points: Array) -> Array:

@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Cells, special
 from uqsphere.uq.describe import hill
 from uqsphere.uq.estimate import (
     REPLICATES,
@@ -64,8 +63,8 @@ class Mixture:
         for share, mean, factor in zip(self.shares, self.means, self.factors, strict=True):
             # the inverse of a triangle is safe here: no variance is below 1e-4
             scores = (points - mean) @ np.linalg.inv(factor).T
-            size = 0.5 * mean.size * math.log(2.0 * math.pi) + np.log(np.diag(factor)).sum()
-            columns.append(math.log(share) - 0.5 * np.einsum("ij,ij->i", scores, scores) - size)
+            size = np.log(np.diag(factor)).sum()
+            columns.append(math.log(share) + log_normal_density(scores) - size)
         return np.column_stack(columns)
 
     def log_density(self, points: Array) -> Array:
@@ -101,19 +100,17 @@ class Mixture:
         return np.concatenate([mean + piece @ factor.T for mean, factor, piece in triples])
 
 
-def equal(means: npt.ArrayLike, factors: npt.ArrayLike) -> Mixture:
+def equal(means: Array, factors: Cells) -> Mixture:
     """Gaussians of equal shares."""
-    centres = np.array(means)
-    return Mixture(np.full(len(centres), 1.0 / len(centres)), centres, np.array(factors))
+    return Mixture(np.full(len(means), 1.0 / len(means)), means, factors)
 
 
 def joined(shares: Sequence[float], parts: Sequence[Mixture]) -> Mixture:
     """One mixture of several, each with its share of the whole."""
     total = sum(shares)
+    weighted = [share / total * part.shares for share, part in zip(shares, parts, strict=True)]
     return Mixture(
-        np.concatenate(
-            [share / total * part.shares for share, part in zip(shares, parts, strict=True)]
-        ),
+        np.concatenate(weighted),
         np.concatenate([part.means for part in parts]),
         np.concatenate([part.factors for part in parts]),
     )
@@ -141,18 +138,18 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
     is dropped.
     """
     means = []
-    factors = []
+    covariances = []
     for point in points:
         mean = point.point
-        covariance = np.eye(point.point.size)
+        covariance = np.eye(mean.size)
         if dimension <= MOST_DIMENSIONS:
             beta = max(abs(point.beta), 0.5)
             along = point.direction
             mean = mean + along / beta
             covariance -= np.outer(along, along) / (1.0 + 1.0 / beta**2)
         means.append(mean[:dimension])
-        factors.append(np.linalg.cholesky(covariance[:dimension, :dimension]))
-    return equal(means, factors)
+        covariances.append(covariance[:dimension, :dimension])
+    return equal(np.array(means), np.linalg.cholesky(covariances))
 
 
 def defended(mixture: Mixture) -> Mixture:
@@ -188,15 +185,15 @@ def _step(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     worth = carriers(weights)
     weights = weights / weights.sum()
     loads = weights @ responsibilities
-    kept = np.flatnonzero(loads >= min(2.0 / worth, loads.max()))
-    means = []
-    factors = []
-    for k in kept:
-        share = weights * responsibilities[:, k] / loads[k]
-        mean, covariance = _moments(points, share, max(loads[k] * worth, 1.0), mixture.means[k])
-        means.append(mean)
-        factors.append(np.linalg.cholesky(covariance))
-    return replace(equal(means, factors), shares=loads[kept] / loads[kept].sum())
+    kept = loads >= min(2.0 / worth, loads.max())
+    loads = loads[kept]
+    shares = weights[:, None] * responsibilities[:, kept] / loads
+    fits = [
+        _moments(points, share, max(load * worth, 1.0), mean)
+        for share, load, mean in zip(shares.T, loads, mixture.means[kept], strict=True)
+    ]
+    means, covariances = (np.array(part) for part in zip(*fits, strict=True))
+    return Mixture(loads / loads.sum(), means, np.linalg.cholesky(covariances))
 
 
 def _moments(points: Array, share: Array, number: float, before: Array) -> tuple[Array, Array]:
@@ -215,7 +212,7 @@ def _moments(points: Array, share: Array, number: float, before: Array) -> tuple
         values, vectors = np.linalg.eigh((share[:, None] * off).T @ off)
         return mean, (vectors * np.clip(values * widening, 1e-4, 25.0)) @ vectors.T
     if before.any():
-        ahead = before * float(mean @ before) / float(np.linalg.norm(before)) ** 2
+        ahead = before * (mean @ before) / (before @ before)
         aside = mean - ahead
         noise = d / number / max(float(aside @ aside), 1e-300)
         mean = ahead + max(1.0 - noise, 0.0) * aside
@@ -373,13 +370,13 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
         return ImportanceAnswer(estimate=nothing)
     error = max(spread(rows), 1e-12 * value)
     if not evaluator.integrated:
-        error = max(error, HARD * float(np.std(weights)) / math.sqrt(weights.size))
+        error = max(error, HARD * float(weights.std()) / math.sqrt(weights.size))
     low, high, _ = probability_ends(value, 1.0 - value, error, REPLICATES, weights.size)
     high = min(high + extra, 1.0)
     heavy = weights[weights > 0.0]
     return ImportanceAnswer(
         estimate=bounded(value, low, high, error, method, evaluator.count),
-        heaviest=float(heavy.max() / heavy.sum()),
+        heaviest=heavy.max() / heavy.sum(),
         order=hill(heavy),
     )
 
