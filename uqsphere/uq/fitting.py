@@ -88,10 +88,11 @@ class LocationScale:
         failures [ln f(z) - ln s] + sum over stopped tests ln S(z) is concave in 1/s and m/s (R. J.
         Olsen, Econometrica 46, 1978, 1211): Newton's method finds its one maximum.
         """
-        count = float(failures.sum())
-        centre = (u @ failures / count)[:, None]
-        spread = np.sqrt(np.square(u - centre) @ failures / count)[:, None]
-        y = (u - centre) / spread
+        count = failures.sum()
+        centre = u @ failures / count
+        y = u - centre[:, None]
+        spread = np.sqrt(y**2 @ failures / count)
+        y /= spread[:, None]
         at = np.outer([1.0, 0.0], np.ones(len(y)))
         step = np.zeros((2, len(y)))
         best = np.full(len(y), -math.inf)
@@ -104,9 +105,8 @@ class LocationScale:
             best = np.where(climbs, level, best)
             slope_h = (first * y).sum(axis=1) + count / h
             slope_g = -first.sum(axis=1)
-            hh = (second * y * y).sum(axis=1) - count / h**2
-            hg = -(second * y).sum(axis=1)
-            gg = second.sum(axis=1)
+            hh, hg, gg = (second * [y * y, -y, np.ones_like(y)]).sum(axis=2)
+            hh -= count / h**2
             newton = np.array([hg * slope_g - gg * slope_h, hg * slope_h - hh * slope_g])
             newton /= hh * gg - hg * hg
             # a step that leaves h > 0 ends before it does, one that does not climb is halved
@@ -114,7 +114,7 @@ class LocationScale:
             step = np.where(climbs, newton, 0.5 * step)
             if np.max(np.abs(step[0]) / at[0] + np.abs(step[1])) < 1e-12:
                 break
-        return at[1] / at[0] * spread[:, 0] + centre[:, 0], spread[:, 0] / at[0]
+        return at[1] / at[0] * spread + centre, spread / at[0]
 
     def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
         """Failures (count, r) of simulated series of the standard law, in rising order.

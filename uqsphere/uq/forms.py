@@ -8,7 +8,7 @@ from the other: each keeps its relative accuracy however small it is.  A form is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Function = Callable[[Array], Array]
 Quantile = Callable[[Array, Array], Array]
-Tails = Sequence[float | Array]  # P(Y <= y), P(Y > y)
+Tails = tuple[Array, Array]  # P(Y <= y), P(Y > y)
 
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN = 37.0
@@ -57,7 +57,7 @@ def no_density(y: Array) -> Array:
 class Form:
     """A law in standard form."""
 
-    tails: Callable[[Array], tuple[Array, Array]]  # y -> P(Y <= y), P(Y > y)
+    tails: Callable[[Array], Tails]
     quantile: Quantile  # p and q = 1 - p, each exact where it is small -> y
     pdf: Function = no_density  # nan, or anything beyond bounds of its own, off the law
     moments: tuple[float, float] | None = (
@@ -82,7 +82,7 @@ def truncated(form: Form, a: float, b: float) -> Form:
     start, end = zip(*form.tails(np.array([a, b])), strict=True)
     mass = float(_between(start, end))
 
-    def tails(y: Array) -> tuple[Array, Array]:
+    def tails(y: Array) -> Tails:
         place = form.tails(y)
         below = _between(start, place) / mass
         return np.clip(below, 0.0, 1.0), np.clip(_between(place, end) / mass, 0.0, 1.0)
@@ -92,11 +92,7 @@ def truncated(form: Form, a: float, b: float) -> Form:
         lower = np.minimum(start[0] + p * mass, 1.0)
         return form.quantile(lower, np.minimum(end[1] + q * mass, 1.0))
 
-    low, high = form.orders
-    if a != -math.inf:
-        low = math.inf
-    if b != math.inf:
-        high = math.inf
+    low, high = np.where(np.isinf([a, b]), form.orders, math.inf).tolist()
     return Form(
         tails=tails,
         quantile=quantile,
@@ -220,7 +216,7 @@ def student_t(dof: float) -> Form:
 def triangular(mode: float) -> Form:
     rest = 1.0 - mode
 
-    def tails(y: Array) -> tuple[Array, Array]:
+    def tails(y: Array) -> Tails:
         y = np.clip(y, 0.0, 1.0)
         below = y * y / (mode or 1.0)
         above = (1.0 - y) ** 2 / (rest or 1.0)
@@ -237,7 +233,7 @@ def triangular(mode: float) -> Form:
 
 
 def beta(a: float, b: float) -> Form:
-    def tails(y: Array) -> tuple[Array, Array]:
+    def tails(y: Array) -> Tails:
         y = np.clip(y, 0.0, 1.0)
         return special.betainc(a, b, y), special.betaincc(a, b, y)
 
@@ -348,7 +344,7 @@ def empirical(law: Law) -> Form:
         return _kernels(data, width)
     inside = data[(data >= law.lower) & (data <= law.upper)]
 
-    def tails(x: Array) -> tuple[Array, Array]:
+    def tails(x: Array) -> Tails:
         share = np.searchsorted(inside, x, side="right") / inside.size
         return share, 1.0 - share
 
@@ -386,11 +382,9 @@ def _mean_of(
     """
 
     @np.errstate(all="ignore")
-    def own_tails(y: Array) -> tuple[Array, Array]:
+    def own_tails(y: Array) -> Tails:
         each = [form.tails(z(y[..., None])) for form, z in parts]
-        below, above = (
-            sum(tail.sum(axis=-1) for tail in side) / count for side in zip(*each, strict=True)
-        )
+        below, above = np.concatenate(each, axis=-1).sum(axis=-1) / count
         return below, above
 
     @cache
@@ -409,7 +403,7 @@ def _mean_of(
     def inside(cubic: PchipInterpolator, x: Array) -> Array:
         return cubic(np.clip(x, cubic.x[0], cubic.x[-1]))
 
-    def tails(y: Array) -> tuple[Array, Array]:
+    def tails(y: Array) -> Tails:
         if y.size * count <= _FEW:
             return own_tails(y)
         return GAUSS.tails(inside(cubics()[0], y))
@@ -428,14 +422,13 @@ def _kernels(data: Array, width: float) -> Form:
     def nodes() -> Array:
         # every width/48 within nine widths of an observation; in a wider gap F is constant to 1e-18
         breaks = np.flatnonzero(np.diff(data) > 18.0 * width)
-        starts = np.concatenate([data[:1] - CERTAIN * width, data[breaks + 1] - 9.0 * width])
-        ends = np.concatenate([data[breaks] + 9.0 * width, data[-1:] + CERTAIN * width])
-        return np.concatenate(
-            [
-                np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
-                for a, b in zip(starts, ends, strict=True)
-            ]
-        )
+        starts = np.append(data[0] - CERTAIN * width, data[breaks + 1] - 9.0 * width)
+        ends = np.append(data[breaks] + 9.0 * width, data[-1] + CERTAIN * width)
+        pieces = [
+            np.linspace(a, b, max(2, math.ceil((b - a) / width * 48.0)))
+            for a, b in zip(starts, ends, strict=True)
+        ]
+        return np.concatenate(pieces)
 
     moments = float(data.mean()), math.hypot(float(data.std()), width)
     return _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes, moments)

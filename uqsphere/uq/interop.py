@@ -195,10 +195,10 @@ def salib_measures(
 
     problem = _unit_problem(names)
     seed = seed or 1  # SALib takes 0 for no seed
-    y = (outputs - outputs.mean()) / (float(outputs.std()) or 1.0)
+    y = (outputs - outputs.mean()) / (outputs.std() or 1.0)
     if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
-        measures = answers["delta"] if "delta" in answers else answers["delta_balanced"]
+        measures = answers.get("delta", answers.get("delta_balanced"))
     elif method == "pawn":
         measures = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
     else:

@@ -324,16 +324,11 @@ class Joint:
         """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores
         (..., d).
         """
-        at = self.names.index(target)
-        for block, copula in self.blocks:
-            others = [k for k, column in enumerate(block) if self.names[column] in drawn]
-            if at not in block or not others:
-                continue
-            member = block.index(at)
-            if math.isfinite(copula.dof) or np.any(copula.correlation[member, others]):
-                columns = tuple(list(drawn).index(self.names[block[k]]) for k in others)
-                among = copula.among([*others, member])
-                return Tie(copula=among, scores=scores[..., columns], columns=columns)
+        for columns, copula in self.only([*drawn, target]).blocks:
+            others = columns[:-1]
+            tied = math.isfinite(copula.dof) or np.any(copula.correlation[-1, :-1])
+            if columns[-1] == len(drawn) and tied:
+                return Tie(copula=copula, scores=scores[..., others], columns=others)
         return FREE
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import FAMILIES, Family, family_named
-from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, no_density, truncated
+from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, Tails, no_density, truncated
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
 _MOST_STEPS = 10_000
@@ -116,7 +116,7 @@ class Law:
         """Probability between the bounds before truncation."""
         return self._form.mass
 
-    def tails(self, x: npt.ArrayLike) -> tuple[Array, Array]:
+    def tails(self, x: npt.ArrayLike) -> Tails:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
         small; any shape.
         """

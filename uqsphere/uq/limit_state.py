@@ -30,7 +30,7 @@ from uqsphere.uq.estimate import (
     spread,
     student,
 )
-from uqsphere.uq.forms import CERTAIN, GAUSS
+from uqsphere.uq.forms import CERTAIN, GAUSS, Tails
 from uqsphere.uq.joint import FREE, Tie
 from uqsphere.uq.law import Law, make_law
 
@@ -68,7 +68,7 @@ class LimitState:
 score_of = GAUSS.quantile
 
 
-def tails(state: LimitState, factor: float = 1.0) -> tuple[Array, Array]:
+def tails(state: LimitState, factor: float = 1.0) -> Tails:
     """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0
     and 0.
     """

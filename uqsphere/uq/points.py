@@ -21,7 +21,6 @@ The streams of a study's seed, by the names of their tasks:
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from functools import lru_cache
 from importlib import resources
 from typing import TypeAlias
@@ -32,15 +31,15 @@ import numpy.typing as npt
 from uqsphere.arrays import Array
 
 Words: TypeAlias = npt.NDArray[np.uint64]
+#: digits of a point
+BITS = 52
 
 
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
     if seed < 0 or replicate < 0:
         raise ValueError(f"seed and replicate must not be negative, found {seed} and {replicate}")
     words = np.frombuffer(hashlib.sha256(task.encode()).digest(), dtype="<u4")
-    return np.random.SeedSequence(
-        entropy=[seed, *(int(word) for word in words)], spawn_key=(replicate,)
-    )
+    return np.random.SeedSequence(entropy=[seed, *words.tolist()], spawn_key=(replicate,))
 
 
 def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.Generator:
@@ -84,17 +83,19 @@ def sobol_points(
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
-    # from 1000 dimensions on the scrambling matrices of 52-bit points would fill the memory
-    bits = 52 if dimension < 1000 else 30
+    bits = BITS
     if dimension > len(_direction_numbers()):
         from scipy.stats.qmc import Sobol
 
+        if dimension >= 1000:
+            # the scrambling matrices of 52-bit points would fill the memory
+            bits = 30
         rng = random_generator(seed=seed, task=task, replicate=replicate)
         sequence = Sobol(dimension, bits=bits, rng=rng)
         # SciPy warns of a first draw of other than a power of two
         corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
     else:
-        directions, points = _scrambled(dimension, bits, seed, task, replicate)
+        directions, points = _scrambled(dimension, seed, task, replicate)
         # points 2^k to 2^(k + 1) are those before, mirrored, with one more direction (Gray code)
         for direction in directions[: (start + count - 1).bit_length()]:
             points = np.concatenate([points, points[::-1] ^ direction])
@@ -103,38 +104,32 @@ def sobol_points(
 
 
 @lru_cache(maxsize=64)
-def _scrambled(
-    dimension: int, bits: int, seed: int, task: str, replicate: int
-) -> tuple[Words, Words]:
-    """Directions (bits, d) of one randomisation and its first point (1, d), drawn as SciPy's
+def _scrambled(dimension: int, seed: int, task: str, replicate: int) -> tuple[Words, Words]:
+    """Directions (BITS, d) of one randomisation and its first point (1, d), drawn as SciPy's
     `qmc.Sobol` does, whose package takes 0.7 s to load.
     """
     rng = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
-    word = np.uint32 if bits <= 32 else np.uint64
-    powers = np.uint64(1) << np.arange(bits, dtype=np.uint64)
-    shift = rng.integers(2, size=(dimension, bits), dtype=word).astype(np.uint64) @ powers
-    matrices = np.tril(rng.integers(2, size=(dimension, bits, bits), dtype=word), -1)
-    matrices = matrices + np.eye(bits)
-    numbers = np.empty((dimension, bits), dtype=np.uint64)
-    for row, (polynomial, *first) in zip(numbers, _direction_numbers(), strict=False):
-        row[:] = _continued(polynomial, first, bits)
+    powers = np.uint64(1) << np.arange(BITS, dtype=np.uint64)
+    shift = rng.integers(2, size=(dimension, BITS), dtype=np.uint64) @ powers
+    below = np.tril(rng.integers(2, size=(dimension, BITS, BITS), dtype=np.uint64), -1)
+    numbers = np.array([_continued(*numbers) for numbers in _direction_numbers()[:dimension]])
     # the digits of the directions, the highest first, times the matrices modulo two
     digits = (numbers[:, None, :] & powers[::-1, None]) > 0
-    scrambled = (matrices @ digits % 2.0).astype(np.uint64)
+    scrambled = ((below + np.eye(BITS)) @ digits % 2.0).astype(np.uint64)
     return np.einsum("dpj,p->jd", scrambled, powers[::-1]), shift[None]
 
 
-def _continued(polynomial: int, first: Sequence[int], bits: int) -> Words:
-    """Direction numbers (bits,) of one dimension, by the recurrence of its polynomial."""
+def _continued(polynomial: int, *first: int) -> Words:
+    """Direction numbers (BITS,) of one dimension, by the recurrence of its polynomial."""
     degree = polynomial.bit_length() - 1
     numbers = list(first)
-    for j in range(degree, bits):
+    for j in range(degree, BITS):
         new = numbers[j - degree]
         for k in range(1, degree + 1):
             if polynomial >> (degree - k) & 1:
                 new ^= numbers[j - k] << k
         numbers.append(new)
-    return np.array(numbers[:bits], dtype=np.uint64) << np.arange(bits, dtype=np.uint64)[::-1]
+    return np.array(numbers[:BITS], dtype=np.uint64) << np.arange(BITS, dtype=np.uint64)[::-1]
 
 
 @lru_cache(maxsize=1)

@@ -110,20 +110,20 @@ def check_rows(x: Array, joint: Joint) -> None:
             raise UsageError(
                 f"column {name!r} does not follow its distribution, {law!r}{_cause(x, joint, k)}"
             )
-    (n, d), names = x.shape, joint.names
-    if n < LEAST_ROWS or d < 2 or any(law.is_steps for law in joint.laws):
+    n = len(x)
+    if n < LEAST_ROWS or any(law.is_steps for law in joint.laws):
         return
     # independent normals, once what ties the inputs is taken out of them
     normals = joint.normals(x)
     varies = np.flatnonzero(np.ptp(normals, axis=0) > 0.0).tolist()
     for j, i in sorted(combinations(varies, 2), key=lambda pair: pair[1]):
-        r = float(np.corrcoef(normals[:, i], normals[:, j])[0, 1])
+        r = np.corrcoef(normals[:, i], normals[:, j])[0, 1]
         # Fisher's transformation
         score = math.atanh(min(abs(r), 1.0 - 1e-12)) * math.sqrt(n - 3)
         if math.erfc(score / math.sqrt(2.0)) < CHANCE:
             declared = "beyond their declared dependence" if joint.dependent else "undeclared"
             raise UsageError(
-                f"the columns {names[j]!r} and {names[i]!r} depend on each other: "
+                f"the columns {joint.names[j]!r} and {joint.names[i]!r} depend on each other: "
                 f"correlation {r:.2f} of {n} rows, {declared}; declare it in [[dependence]] "
                 "(or `joint`), or draw rows as declared"
             )
@@ -149,12 +149,12 @@ def _cause(x: Array, joint: Joint, place: int) -> str:
     """Why a column may not follow its distribution; empty where nothing explains it."""
     column = x[:, place]
     law = joint.laws[place]
-    for other, name in enumerate(joint.names):
-        swapped = other != place and _follows(column, joint.laws[other])
-        if swapped and _follows(x[:, other], law) and len(x) >= LEAST_ROWS:
-            return f"; the columns {joint.names[place]!r} and {name!r} seem to be swapped"
-    for factor, text in UNITS.items():
-        scaled = column * factor
-        if _follows(scaled, law) and len(x) >= LEAST_ROWS:
-            return f"; its values seem to be {text}: give them in the unit of the distribution"
+    if len(x) >= LEAST_ROWS:
+        for other, name in enumerate(joint.names):
+            swapped = other != place and _follows(column, joint.laws[other])
+            if swapped and _follows(x[:, other], law):
+                return f"; the columns {joint.names[place]!r} and {name!r} seem to be swapped"
+        for factor, text in UNITS.items():
+            if _follows(column * factor, law):
+                return f"; its values seem to be {text}: give them in the unit of the distribution"
     return "; rows are drawn from the distributions of the inputs, as `design` and `sample` do"

@@ -253,11 +253,9 @@ def weighted(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array
     points = np.concatenate([part.points for part in draws], axis=-2)
     answers = np.concatenate([part.answers for part in draws], axis=-1)
     rows = points.reshape(-1, points.shape[-1])
-    table = np.column_stack([part.mixture.log_density(rows) for part in draws])
-    sizes = np.array([part.answers.size for part in draws]) / answers.size
-    ratio = np.exp(log_normal_density(rows) - special.logsumexp(table, axis=1, b=sizes))
+    sizes = [part.answers.size for part in draws]
+    ratio = joined(sizes, [part.mixture for part in draws]).ratio(rows).reshape(answers.shape)
     mass = evaluator.mass(rows, answers.ravel()).reshape(answers.shape)
-    ratio = ratio.reshape(answers.shape)
     return points, np.nan_to_num(mass) * ratio, np.isnan(mass) * ratio
 
 
