@@ -16,8 +16,6 @@ moments, sampling, refusals, the schema and the table of docs/study-file.md foll
 line in PAIRS of tests/uq/test_laws.py.
 """
 
-from __future__ import annotations
-
 from uqsphere.uq.estimate import Estimate, absent, exact, from_replicates, student
 from uqsphere.uq.forms import LawError
 from uqsphere.uq.joint import Dependence, Joint, make_joint

@@ -1,7 +1,5 @@
 """Curves over one scalar: the probability of exceeding along an axis, and its inverse."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ other of chaospy a law by its own functions, whose tails are checked.  No packag
 the class of a distribution says where it is from.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -7,8 +7,6 @@ strength.  Both F_S and 1 - F_S are carried, so that a small probability keeps i
 on either side.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

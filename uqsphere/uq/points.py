@@ -18,8 +18,6 @@ The streams of a study's seed, by the names of their tasks:
     analysis                fragility
 """
 
-from __future__ import annotations
-
 import hashlib
 from functools import lru_cache
 from importlib import resources

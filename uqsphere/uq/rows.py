@@ -2,8 +2,6 @@
 follow the distributions and the dependence of the inputs.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import combinations

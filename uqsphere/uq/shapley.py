@@ -13,8 +13,6 @@ ones and their reverses; the effect of a set is sampled once, however many order
 Bachoc and Depecker, SIAM/ASA J. UQ 8, 2020, 693).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

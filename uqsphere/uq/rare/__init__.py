@@ -7,8 +7,6 @@ from it gives the answer.  Subset simulation, which shares nothing with the weig
 where the two disagree the interval holds both, and that is said.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ its first step is that of Hasofer and Lind (1974) and Rackwitz and Fiessler (197
 central differences over a step that is wide enough to see across kinks.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import dataclass

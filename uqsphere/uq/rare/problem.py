@@ -7,8 +7,6 @@ domain g(u) + z < 0 of the augmented space v = (u, z), in which every method wor
 limit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field

@@ -5,8 +5,6 @@ al. 2015, doi 10.1016/j.probengmech.2015.06.006).  The usual coefficient of vari
 levels for independent and is too small: the interval is that of whole repetitions.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import dataclass
