@@ -95,10 +95,14 @@ class Family:
         return "uniform" if self.bounded else "normal"
 
     def bounds(self, lower: float, upper: float) -> Keys:
-        """The bounds, where these are among the parameters."""
-        if self.bounded:
-            return {"lower": lower, "upper": upper}
-        return {}
+        """The bounds, where these are among the parameters; raises LawError if one is missing."""
+        if not self.bounded:
+            return {}
+        ends = {"lower": lower, "upper": upper}
+        for key, end in ends.items():
+            if math.isinf(end):
+                raise LawError(f"{self.name} needs lower and upper; {key} is missing", key)
+        return ends
 
     def allowed(self) -> str:
         """The alternatives in words."""
@@ -111,9 +115,7 @@ class Family:
         """The parameters that a law keeps, from one of the alternative key sets; raises
         LawError.
         """
-        for key, end in self.bounds(lower, upper).items():
-            if math.isinf(end):
-                raise LawError(f"{self.name} needs lower and upper; {key} is missing", key)
+        bounds = self.bounds(lower, upper)
         for key, value in table.items():
             if key not in self.keys:
                 raise LawError(
@@ -145,14 +147,12 @@ class Family:
             keys["sd"] = keys.pop("cov") * abs(mean)
         try:
             if self.from_moments is not None and not keys.keys() >= set(self.alternatives[0]):
-                keys |= self.from_moments(**keys, **self.bounds(lower, upper))
+                keys |= self.from_moments(**keys, **bounds)
             parameters = {key: float(keys[key]) for key in self.parameters_of}
         except (OverflowError, ZeroDivisionError):
             parameters = {"": math.inf}
         if not all(map(math.isfinite, parameters.values())):
-            raise LawError(
-                f"these parameters of {self.name} give numbers beyond floating point", ""
-            )
+            raise LawError(f"these parameters of {self.name} give numbers beyond floating point")
         return parameters
 
 

@@ -489,9 +489,7 @@ def fitted_law(
         width = bandwidth(values) if how == "kde" else 0.0
         return checked(replace(law, parameters={"bandwidth": width}))
     least, *_, largest = observed
-    if family.bounded and not math.isfinite(b - a):
-        raise LawError(f"{how} needs lower and upper", "lower" if math.isinf(a) else "upper")
-    if family.bounded and not a < least <= largest < b:
+    if family.bounds(a, b) and not a < least <= largest < b:
         raise LawError(
             f"the observations ({least:g} to {largest:g}) must lie between {a:g} and {b:g}", "fit"
         )

@@ -323,7 +323,7 @@ def checked(law: Law) -> Law:
         raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)
     low, high = law.ppf([0.0, 1.0] if law.is_steps else [0.25, 0.75]).tolist()
     if not np.isfinite([centre, low, high, law.isf(1e-9)]).all():
-        raise LawError(f"these parameters of {name} give numbers beyond floating point", "")
+        raise LawError(f"these parameters of {name} give numbers beyond floating point")
     if not high > low:
         raise LawError(
             "the law has no scatter: give the number itself where a fixed value is meant", "dist"

@@ -224,13 +224,7 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
     def process(lengths: Array) -> tuple[Kriging, Array, Any]:
         """The process of these lengths, its correlations, and the inverse of their factor."""
         shared = np.exp(-0.5 * squares @ lengths**-2.0)
-        nugget = NUGGET
-        while True:
-            try:
-                factor: Any = np.linalg.cholesky(shared + nugget * np.eye(n))
-                break
-            except np.linalg.LinAlgError:
-                nugget *= 10.0
+        factor: Any = np.linalg.cholesky(shared + NUGGET * np.eye(n))
         whitened = solve_triangular(factor, np.column_stack([basis, values]), lower=True)
         trend: Any = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
         residuals = values - basis @ trend

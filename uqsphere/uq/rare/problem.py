@@ -62,15 +62,10 @@ class Evaluator:
         self, dimension: int, count: int, task: str, replicate: int = 0, start: int = 0
     ) -> Array:
         """Quasi-random standard normal points (count, dimension)."""
-        points = sobol_points(
-            dimension=dimension,
-            count=count,
-            start=start,
-            seed=self.seed,
-            task=task,
-            replicate=replicate,
+        key = {"seed": self.seed, "replicate": replicate}
+        return special.ndtri(
+            sobol_points(dimension=dimension, count=count, start=start, task=task, **key)
         )
-        return special.ndtri(points)
 
     def answers(self, points: Array) -> Array:
         """The function at points (n, dimension); nan beyond `REACH`, where nothing is evaluated.
