@@ -72,8 +72,11 @@ def fragility(
         above = probabilities - target
         sides = np.sign(above.mean(axis=1))[_surely_not_zero(above)]
         if turns.size and np.count_nonzero(np.diff(sides)) != 1:
-            reason = f"the probability is not monotone: it turns back near {turns[0]:.4g}"
-            values[target] = absent(reason, METHOD, evaluations)
+            values[target] = absent(
+                f"the probability is not monotone: it turns back near {turns[0]:.4g}",
+                METHOD,
+                evaluations,
+            )
         else:
             least = 0.5 / (samples * replicates)
             value = _value(grid, probabilities, target, least, folds)
@@ -125,18 +128,20 @@ def _value(
 
     centre = crossings(pooled)[0]
     if math.isnan(centre):
-        reason = (
+        return absent(
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
-            f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}"
+            f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}",
+            METHOD,
+            0,
         )
-        return absent(reason, METHOD, 0)
     replicates = crossings(probabilities)
     half = student(replicates.size) * spread(replicates)
     if folds is not None:
         half = math.hypot(half, fold_spread(crossings(folds)))
     if math.isnan(half):
-        reason = "too close to an end of the range: some replicates do not reach it"
-        return absent(reason, METHOD, 0)
+        return absent(
+            "too close to an end of the range: some replicates do not reach it", METHOD, 0
+        )
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     other = crossings(pooled, np.unique([*range(0, grid.size, 2), grid.size - 1]))[0]

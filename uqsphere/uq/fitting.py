@@ -151,8 +151,7 @@ class LocationScale:
             z = self._of_hazard(np.cumsum(1.0 / _at_risk(leaving)))
             second = self.terms(z, np.ones(z.size), leaving - 1.0)[2]
             mixed = second @ z
-            information = [[z.size - second @ (z * z), mixed], [mixed, -second.sum()]]
-            covariance = np.linalg.inv(information)
+            covariance = np.linalg.inv([[z.size - second @ (z * z), mixed], [mixed, -second.sum()]])
             logs, places = generator.multivariate_normal([0.0, 0.0], covariance, count).T
             return places, np.exp(logs)
         series = self.series(leaving, count, generator)

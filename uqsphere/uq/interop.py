@@ -132,8 +132,7 @@ def salib_problem(inputs: Joint) -> dict[str, object]:
             numbers[2] = (numbers[2] - law.lower) / (law.upper - law.lower)
         dists.append(dist)
         bounds.append(numbers)
-    names = list(inputs.names)
-    return {"num_vars": len(names), "names": names, "bounds": bounds, "dists": dists}
+    return _unit_problem(inputs.names) | {"bounds": bounds, "dists": dists}
 
 
 def to_salib(

@@ -197,8 +197,11 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     zero = "the demand may be zero: the margin is unbounded"
     doubtful = strength.cdf(0.0) if isinstance(strength, Law) else strength <= 0.0
     if doubtful > 1e-6:
-        reason = "the strength may be zero or negative: strength over demand has no meaning"
-        return absent(reason, method, total)
+        return absent(
+            "the strength may be zero or negative: strength over demand has no meaning",
+            method,
+            total,
+        )
     if counts.min() < 2:
         return absent("too few successful samples in a replicate", method, total)
     if not isinstance(strength, Law):

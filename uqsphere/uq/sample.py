@@ -92,8 +92,8 @@ class Sample:
 
     def knows(self, quantity: str) -> bool:
         """Whether a quantity is a plain number in every row."""
-        plain = bool(np.isfinite(self.answer(quantity)).all())
-        return plain and not (self.failed.any() or self.late(quantity).any())
+        odd = self.late(quantity) | ~np.isfinite(self.answer(quantity))
+        return not (odd.any() or self.failed.any())
 
     def with_answers(self, quantities: Sequence[str], answers: Array, **flags: Any) -> Sample:
         """The same points with answers (R, n, q); `censored`, `status` and `failed` are zero unless

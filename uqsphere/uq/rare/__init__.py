@@ -113,13 +113,12 @@ def failure_probability(
     True
     """
     d = evaluator.dimension
-    near = None
     if known and evaluator.budget >= FEW:
         near = nearby(evaluator, known, accuracy)
-    if near is not None:
-        points = find_design_points(evaluator, most=0.06 * evaluator.budget)
-        estimate = replace(near.estimate, evaluations=evaluator.count)
-        return RareAnswer(estimate, "", points, near.draws, searched=False)
+        if near is not None:
+            points = find_design_points(evaluator, most=0.06 * evaluator.budget)
+            estimate = replace(near.estimate, evaluations=evaluator.count)
+            return RareAnswer(estimate, "", points, near.draws, searched=False)
     budget = evaluator.left
     if budget < FEW:
         few = by_kriging(evaluator, failure_probability, accuracy)
@@ -178,10 +177,9 @@ def failure_probability(
         answer = importance_sampling(evaluator, defended(mixture), accuracy)
         draws = answer.draws
         estimate, warning = _defended(*_certify(answer, subset.estimate), mass)
-    if estimate.high is not None:
-        unseen = min(estimate.high + count_bound(mass.size), 1.0)
-        estimate = replace(estimate, high_unseen=unseen)
-    return RareAnswer(replace(estimate, evaluations=evaluator.count), warning, points, draws)
+    unseen = min((estimate.high or 1.0) + count_bound(mass.size), 1.0)
+    estimate = replace(estimate, high_unseen=unseen, evaluations=evaluator.count)
+    return RareAnswer(estimate, warning, points, draws)
 
 
 def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:

@@ -298,19 +298,14 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportanceAnswer:
-    """An estimate with the share of its largest weight, and the order of the weights' tail by
-    Hill's rule: up to 2 they have no variance, and the interval is not to be trusted (of 720 thin
+    """An estimate with the share of its largest weight; it is trusted where no few weights decide,
+    and their variance is finite: the order of their tail by Hill's rule is above 2 (of 720 thin
     rings two were sure and wrong so)."""
 
     estimate: Estimate
     heaviest: float = 1.0
-    order: float = 0.0
+    trusted: bool = False
     draws: Draws | None = None
-
-    @property
-    def trusted(self) -> bool:
-        """Whether there is a value, and no few weights decide."""
-        return self.order > 2.0 and self.heaviest < 0.1
 
 
 def importance_sampling(
@@ -371,11 +366,11 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
         error = max(error, HARD * float(weights.std()) / math.sqrt(weights.size))
     low, high, _ = probability_ends(value, 1.0 - value, error, REPLICATES, weights.size)
     high = min(high + extra, 1.0)
-    heavy = weights[weights > 0.0]
+    heaviest = weights.max() / weights.sum()
     return ImportanceAnswer(
         estimate=bounded(value, low, high, error, method, evaluator.count),
-        heaviest=heavy.max() / heavy.sum(),
-        order=hill(heavy),
+        heaviest=heaviest,
+        trusted=heaviest < 0.1 and hill(weights[weights > 0.0]) > 2.0,
     )
 
 

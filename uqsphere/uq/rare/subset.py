@@ -12,7 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, bounded, count_bound, probability_ends
+from uqsphere.uq.estimate import (
+    CELL,
+    Estimate,
+    absent,
+    bounded,
+    count_bound,
+    probability_ends,
+    spread,
+)
 from uqsphere.uq.points import random_generator
 from uqsphere.uq.rare.problem import Evaluator, Spent
 
@@ -105,15 +113,14 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
         if level == 0:
             high = count_bound(count * REPETITIONS)
         reason = f"no failure was reached; its probability is below {high:.2g}"
-        nothing = absent(reason, method, evaluator.count, below=high)
-        return SubsetAnswer(nothing, failures[0], level)
+        return SubsetAnswer(absent(reason, method, evaluator.count, below=high), failures[0], level)
     # where some repetitions reached a failure domain that others did not, answers are worlds apart
     value = float(probability.mean())
     error = float(shares.max())
     low = 0.0
     high = min(10.0 * error, 1.0)
     if shares.size == REPETITIONS:
-        error = value * max(float(np.std(np.log(shares), ddof=1)), 0.02) / math.sqrt(REPETITIONS)
+        error = value * spread(np.log(shares), 0.02 / CELL)
         low, high, _ = probability_ends(value, 1.0 - value, error, REPETITIONS, count)
     estimate = bounded(value, low, high, error, method, evaluator.count)
     return SubsetAnswer(estimate, np.concatenate(failures), level)
