@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.random import Generator
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import ENDS
@@ -116,7 +117,7 @@ class LocationScale:
                 break
         return at[1] / at[0] * spread + centre, spread / at[0]
 
-    def series(self, leaving: Array, count: int, generator: np.random.Generator) -> Array:
+    def series(self, leaving: Array, count: int, generator: Generator) -> Array:
         """Failures (count, r) of simulated series of the standard law, in rising order.
 
         `leaving` (r,): tests that end with each failure, those stopped before the next one with it.
@@ -141,9 +142,7 @@ class LocationScale:
         location, scale = (part[:, None] for part in self.fit(series, leaving))
         return distance(self.form.tails((series - location) / scale)[0], leaving)
 
-    def pivots(
-        self, leaving: Array, count: int, generator: np.random.Generator
-    ) -> tuple[Array, Array]:
+    def pivots(self, leaving: Array, count: int, generator: Generator) -> tuple[Array, Array]:
         """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY`
         failures.
         """
@@ -161,7 +160,7 @@ class LocationScale:
         return location / scale, 1.0 / scale
 
     def ranked_pivots(
-        self, leaving: Array, count: int, generator: np.random.Generator, at: float
+        self, leaving: Array, count: int, generator: Generator, at: float
     ) -> tuple[Array, Array]:
         """Pivots (count,) that stand for `FINER` times as many: every so-many-th in the order of
         the strengths' quantile at a probability.
@@ -561,7 +560,7 @@ def series_behind(law: Law) -> StrengthTests:
 
 
 def possible_laws(
-    law: Law, count: int, generator: np.random.Generator, at: float | None = None
+    law: Law, count: int, generator: Generator, at: float | None = None
 ) -> Iterator[Law]:
     """`count` laws of the same family that the observations of `law` allow, each as likely as the
     other, one by one.
@@ -609,7 +608,7 @@ def possible_laws(
     )
 
 
-def _made_again(law: Law, generator: np.random.Generator) -> Law:
+def _made_again(law: Law, generator: Generator) -> Law:
     """A law fitted to a sample of as many observations: of the law itself (the parametric
     bootstrap), or of those of a kernel density or a step function, drawn with repetition.
 

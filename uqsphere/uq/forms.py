@@ -167,35 +167,48 @@ UNIFORM = Form(
 
 
 def weibull(m: float | Array) -> Form:
+    """P(Y > y) = exp(-y^m), also of a negative m, whose hazard falls."""
     return by_hazard(
         lambda y: np.maximum(y, 0.0) ** m,
         lambda h: h ** (1.0 / m),
-        lambda y: np.log(m) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
+        lambda y: np.log(np.abs(m)) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
     )
 
 
 def frechet(a: float) -> Form:
-    return falling(
-        by_hazard(
-            lambda y: np.maximum(y, 0.0) ** -a,
-            lambda h: h ** (-1.0 / a),
-            lambda y: math.log(a) - (a + 1.0) * np.log(y),
-        ),
-        order=a,
+    return falling(weibull(-a), order=a)
+
+
+def incomplete(name: str, end: float, log_density: Function, *shapes: float) -> Form:
+    """A form on [0, end] by an incomplete function of scipy.special, its complement and both
+    inverses.
+    """
+    below, above, ppf, isf = (getattr(special, name + kind) for kind in ("", "c", "inv", "cinv"))
+
+    def tails(y: Array) -> Tails:
+        y = np.clip(y, 0.0, end)
+        return below(*shapes, y), above(*shapes, y)
+
+    return Form(
+        tails=tails,
+        quantile=either(lambda p: ppf(*shapes, p), lambda q: isf(*shapes, q)),
+        pdf=lambda y: np.exp(log_density(y)),
     )
 
 
 def gamma(k: float) -> Form:
-    return Form(
-        tails=lambda y: (
-            special.gammainc(k, np.maximum(y, 0.0)),
-            special.gammaincc(k, np.maximum(y, 0.0)),
-        ),
-        quantile=either(lambda p: special.gammaincinv(k, p), lambda q: special.gammainccinv(k, q)),
-        pdf=lambda y: np.exp(
-            special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)
-        ),
-    )
+    def log_density(y: Array) -> Array:
+        return special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)
+
+    return incomplete("gammainc", math.inf, log_density, k)
+
+
+def beta(a: float, b: float) -> Form:
+    def log_density(y: Array) -> Array:
+        powers = special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y)
+        return powers - special.betaln(a, b)
+
+    return incomplete("betainc", 1.0, log_density, a, b)
 
 
 def student_t(dof: float) -> Form:
@@ -229,24 +242,6 @@ def triangular(mode: float) -> Form:
         pdf=lambda y: 2.0 * np.fmin(y / mode, (1.0 - y) / rest),  # 0/0 counts for nothing
         # its quantiles have a kink, and quadrature fewer digits
         moments=((1.0 + mode) / 3.0, math.sqrt((1.0 - mode + mode**2) / 18.0)),
-    )
-
-
-def beta(a: float, b: float) -> Form:
-    def tails(y: Array) -> Tails:
-        y = np.clip(y, 0.0, 1.0)
-        return special.betainc(a, b, y), special.betaincc(a, b, y)
-
-    def pdf(y: Array) -> Array:
-        powers = special.xlogy(a - 1.0, y) + special.xlog1py(b - 1.0, -y)
-        return np.exp(powers - special.betaln(a, b))
-
-    return Form(
-        tails=tails,
-        quantile=either(
-            lambda p: special.betaincinv(a, b, p), lambda q: special.betainccinv(a, b, q)
-        ),
-        pdf=pdf,
     )
 
 
@@ -412,10 +407,12 @@ def _mean_of(
         scores = cubics()[0]
         return scores(y, 1, extrapolate=False) * GAUSS.pdf(scores(y))
 
-    def quantile(p: Array, q: Array) -> Array:
-        return inside(cubics()[1], GAUSS.quantile(p, q))
-
-    return Form(tails=tails, quantile=quantile, pdf=pdf, moments=moments)
+    return Form(
+        tails=tails,
+        quantile=lambda p, q: inside(cubics()[1], GAUSS.quantile(p, q)),
+        pdf=pdf,
+        moments=moments,
+    )
 
 
 def _kernels(data: Array, width: float) -> Form:

@@ -51,9 +51,7 @@ def as_table(rows: Any, names: Sequence[str]) -> Any:
 
     Raises UsageError for a labelled array without these labels, masked arrays and complex numbers.
     """
-    _refuse_masked(rows)
-    if hasattr(rows, "data_vars"):
-        return rows.to_dataframe()[[*rows.data_vars]]
+    rows = _of_data_set(rows)
     if not is_labelled(rows) or len(rows.dims) != 2:
         return rows
     for dimension, other in (rows.dims, rows.dims[::-1]):
@@ -65,9 +63,13 @@ def as_table(rows: Any, names: Sequence[str]) -> Any:
     )
 
 
-def _refuse_masked(cells: Any) -> None:
+def _of_data_set(cells: Any) -> Any:
+    """A data set of xarray as a DataFrame; masked arrays are refused, anything else as it is."""
     if isinstance(cells, np.ma.MaskedArray):
         raise UsageError("masked arrays are not taken: leave out the rows that are masked")
+    if hasattr(cells, "data_vars"):
+        return cells.to_dataframe()[[*cells.data_vars]]
+    return cells
 
 
 def as_answers(y: Any) -> Any:
@@ -75,9 +77,7 @@ def as_answers(y: Any) -> Any:
 
     Raises UsageError for several columns, masked arrays and complex numbers.
     """
-    _refuse_masked(y)
-    if hasattr(y, "data_vars"):
-        y = y.to_dataframe()[[*y.data_vars]]
+    y = _of_data_set(y)
     if is_labelled(y):
         y = y.to_series() if len(y.dims) == 1 else np.asarray(y)
     if hasattr(y, "columns"):
