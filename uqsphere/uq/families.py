@@ -181,7 +181,7 @@ def _weibull_keys(mean: float, modulus: float, threshold: float) -> Keys:
 
 def _gumbel_keys(mean: float, sd: float) -> Keys:
     scale = sd * math.sqrt(6.0) / math.pi
-    return {"location": mean - float(np.euler_gamma) * scale, "scale": scale}
+    return {"location": mean - np.euler_gamma * scale, "scale": scale}
 
 
 def _beta_keys(mean: float, sd: float, lower: float, upper: float) -> Keys:

@@ -292,7 +292,7 @@ class Union:
     any limit is exceeded given the inputs, 0 for samples without an answer, and that none is.
     """
 
-    states: tuple[LimitState, ...]
+    states: Sequence[LimitState]
     failure_given_inputs: Array
     holding: Array
     factor: Array
@@ -336,7 +336,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     with np.errstate(divide="ignore"):
         held = np.log1p(-failure_given_inputs).sum(axis=0)
     return Union(
-        states=tuple(states),
+        states=states,
         failure_given_inputs=failure_given_inputs,
         holding=holding,
         factor=factor,

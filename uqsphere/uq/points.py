@@ -36,8 +36,8 @@ BITS = 52
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
     if seed < 0 or replicate < 0:
         raise ValueError(f"seed and replicate must not be negative, found {seed} and {replicate}")
-    words = np.frombuffer(hashlib.sha256(task.encode()).digest(), dtype="<u4")
-    return np.random.SeedSequence(entropy=[seed, *words.tolist()], spawn_key=(replicate,))
+    task_number = int.from_bytes(hashlib.sha256(task.encode()).digest(), "little")
+    return np.random.SeedSequence(entropy=[seed, task_number], spawn_key=(replicate,))
 
 
 def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.Generator:

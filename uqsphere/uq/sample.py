@@ -58,12 +58,12 @@ class Sample:
     @property
     def replicates(self) -> int:
         """Randomisations."""
-        return int(self.scores.shape[0])
+        return len(self.scores)
 
     @property
     def count(self) -> int:
         """Rows of each replicate."""
-        return int(self.scores.shape[1])
+        return len(self.scores[0])
 
     @property
     def size(self) -> int:

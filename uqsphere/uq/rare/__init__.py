@@ -143,7 +143,7 @@ def failure_probability(
         if evaluator.integrated:
             starts = np.column_stack([starts, np.full(len(starts), -1.0)])
     points = find_design_points(evaluator, starts=starts, most=0.06 * budget)
-    subset = subset_simulation(evaluator, int(min(max(budget // 75, 100), 500)))
+    subset = subset_simulation(evaluator, min(max(budget // 75, 100), 500))
     if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:
         # failure is the rule: the probability of survival is looked for
         survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=evaluator.left)
@@ -246,10 +246,10 @@ def _bound(single: Estimate) -> Estimate:
 
 def _sampled(evaluator: Evaluator) -> RareAnswer:
     """A plain sample: what none of its n points has met is rarer than 3/n, and in the interval."""
-    count = int(evaluator.left // REPLICATES)
+    count = evaluator.left // REPLICATES
     if count < 2:
         raise ValueError(
-            f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left:.0f}"
+            f"at least {2 * REPLICATES} evaluations are needed, found {evaluator.left}"
         )
     points = [evaluator.normals(evaluator.dimension, count, "few", r) for r in range(REPLICATES)]
     mass = evaluator.mass(np.concatenate(points))

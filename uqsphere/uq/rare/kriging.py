@@ -159,7 +159,7 @@ class Kriging:
     points : (n, d)
     lengths : correlation lengths (d,) of the squared-exponential kernel
     trend : coefficients (1 + d,) of constant and slopes
-    factor : lower Cholesky factor (n, n) of the correlations
+    inverse : that of the lower Cholesky factor (n, n) of the correlations
     weights : correlations inverted times residuals (n,)
     variance : of the process
     """
@@ -167,7 +167,7 @@ class Kriging:
     points: Array
     lengths: Array
     trend: Array
-    factor: Array
+    inverse: Array
     weights: Array
     variance: float
 
@@ -177,10 +177,8 @@ class Kriging:
 
     def sd(self, points: Array) -> Array:
         """Standard deviations (m,) at points (m, d)."""
-        from scipy.linalg import solve_triangular
-
-        whitened = solve_triangular(self.factor, self._correlations(points).T, lower=True)
-        basis = solve_triangular(self.factor, _basis(self.points), lower=True)
+        whitened = self.inverse @ self._correlations(points).T
+        basis = self.inverse @ _basis(self.points)
         # a trend that the points do not determine adds nothing that can be stated
         slopes = np.linalg.pinv(np.linalg.qr(basis, mode="r"))
         of_trend = (_basis(points) - whitened.T @ basis) @ slopes
@@ -198,10 +196,10 @@ class Kriging:
         return special.ndtr(-np.abs(mean) / sd)
 
     def _correlations(self, points: Array) -> Array:
-        first = points / self.lengths
-        second = self.points / self.lengths
-        squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1) - 2.0 * first @ second.T
-        return np.asarray(np.exp(-0.5 * np.maximum(squares, 0.0)))
+        from scipy.spatial.distance import cdist
+
+        squares = cdist(points, self.points, "sqeuclidean", w=self.lengths**-2.0)
+        return np.exp(-0.5 * squares)
 
 
 def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
@@ -214,32 +212,29 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
     >>> bool(abs(process.mean(np.array([[0.3]]))[0] - np.sin(0.3)) < 1e-3)
     True
     """
-    from scipy.linalg import solve_triangular
     from scipy.optimize import minimize
 
     n, d = points.shape
     squares = (points[:, None, :] - points) ** 2
     basis = _basis(points)
 
-    def process(lengths: Array) -> tuple[Kriging, Array, Any]:
-        """The process of these lengths, its correlations, and the inverse of their factor."""
+    def process(lengths: Array) -> tuple[Kriging, Array]:
+        """The process of these lengths, and its correlations."""
         shared = np.exp(-0.5 * squares @ lengths**-2.0)
-        factor: Any = np.linalg.cholesky(shared + NUGGET * np.eye(n))
-        whitened = solve_triangular(factor, np.column_stack([basis, values]), lower=True)
-        trend: Any = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+        inverse: Any = np.linalg.inv(np.linalg.cholesky(shared + NUGGET * np.eye(n)))
+        trend: Any = np.linalg.lstsq(inverse @ basis, inverse @ values, rcond=None)[0]
         residuals = values - basis @ trend
-        inverse = np.linalg.inv(factor)
         weights = inverse.T @ (inverse @ residuals)
         variance = max(float(residuals @ weights) / n, 1e-300)
-        return Kriging(points, lengths, trend, factor, weights, variance), shared, inverse
+        return Kriging(points, lengths, trend, inverse, weights, variance), shared
 
     def loss(logs: Array) -> tuple[float, Array]:
         """Minus twice the logarithm of the likelihood over n, and its slope."""
-        fit, shared, inverse = process(np.exp(logs))
-        value = math.log(fit.variance) + 2.0 * np.log(np.diag(fit.factor)).mean()
+        fit, shared = process(np.exp(logs))
+        value = math.log(fit.variance) - 2.0 * np.log(np.diag(fit.inverse)).mean()
         # d loss = trace((K^-1 - w w' / variance) dK) / n
         outer = np.outer(fit.weights, fit.weights) / fit.variance
-        core = (inverse.T @ inverse - outer) * shared / n
+        core = (fit.inverse.T @ fit.inverse - outer) * shared / n
         return value, np.tensordot(core, squares, axes=2) * fit.lengths**-2.0
 
     bounds = [(math.log(SHORTEST), math.log(LONGEST))] * d

@@ -67,17 +67,14 @@ class Mixture:
             columns.append(math.log(share) + log_normal_density(scores) - size)
         return np.column_stack(columns)
 
-    def log_density(self, points: Array) -> Array:
-        """Logarithm of the density at points (n, d).
-
-        >>> standard_normal(1).log_density(np.zeros((1, 1))).round(6).tolist()
-        [-0.918939]
-        """
-        return special.logsumexp(self.log_densities(points), axis=1)
-
     def ratio(self, points: Array) -> Array:
-        """Standard normal density over that of the mixture at points (n, d)."""
-        return np.exp(log_normal_density(points) - self.log_density(points))
+        """Standard normal density over that of the mixture at points (n, d).
+
+        >>> standard_normal(1).ratio(np.ones((1, 1))).tolist()
+        [1.0]
+        """
+        log_density = special.logsumexp(self.log_densities(points), axis=1)
+        return np.exp(log_normal_density(points) - log_density)
 
     def drawn(self, count: int) -> Mixture:
         """The mixture with the shares really drawn among `count` points: at least one of each
@@ -180,8 +177,7 @@ def fitted(mixture: Mixture, points: Array, weights: Array) -> Mixture:
 
 def _step(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     """One step of expectation-maximisation; components that carry almost nothing are dropped."""
-    table = mixture.log_densities(points)
-    responsibilities = np.exp(table - special.logsumexp(table, axis=1)[:, None])
+    responsibilities = special.softmax(mixture.log_densities(points), axis=1)
     worth = carriers(weights)
     weights = weights / weights.sum()
     loads = weights @ responsibilities
@@ -272,7 +268,7 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
     scatter, further stages follow until failures enough for its direction were met.
     """
     d = evaluator.dimension
-    count = int(max(min(2048, evaluator.left / 6), 256))
+    count = max(min(2048, evaluator.left // 6), 256)
     stages = 2
     least = max(12.0, 2.0 * d)
     enough = 0.0
@@ -323,14 +319,14 @@ def importance_sampling(
     """
     d = evaluator.dimension
     done = 0
-    block = max(int(min(256, evaluator.left // (4 * REPLICATES))), mixture.shares.size)
+    block = max(min(256, evaluator.left // (4 * REPLICATES)), mixture.shares.size)
     draws = Draws(mixture.drawn(block), np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0)))
     nothing = absent("the budget does not suffice for importance sampling", METHOD, 0)
     answer = ImportanceAnswer(estimate=nothing)
     while (
         not answer.estimate.value or answer.estimate.half_width > accuracy * answer.estimate.value
     ):
-        more = int(min(max(done // 2, 1), evaluator.left // (REPLICATES * block)))
+        more = min(max(done // 2, 1), evaluator.left // (REPLICATES * block))
         if more < 1:
             break
         fresh = []

@@ -54,9 +54,9 @@ class Evaluator:
         return self.dimension + self.integrated
 
     @property
-    def left(self) -> float:
+    def left(self) -> int:
         """Evaluations that may still be spent."""
-        return self.budget - self.count
+        return int(self.budget) - self.count
 
     def normals(
         self, dimension: int, count: int, task: str, replicate: int = 0, start: int = 0
@@ -114,5 +114,4 @@ class Evaluator:
 
 def log_normal_density(points: Array) -> Array:
     """Logarithm of the standard normal density at points (n, d)."""
-    constant = points.shape[1] * (0.5 * math.log(2.0 * math.pi))
-    return np.asarray(-0.5 * (points**2).sum(axis=1) - constant)
+    return np.asarray(-0.5 * (points**2 + math.log(2.0 * math.pi)).sum(axis=1))
