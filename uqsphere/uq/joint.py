@@ -353,7 +353,7 @@ def make_joint(
                 random = ", ".join(names) or "none"
                 raise LawError(f"{name!r} is not a random input; random are: {random}", "of")
         copula = tie.make_copula()
-        columns = tuple(list(names).index(name) for name in tie.of)
+        columns = tuple(names.index(name) for name in tie.of)
         if math.isfinite(copula.dof):
             blocks.append((columns, copula))
             continue

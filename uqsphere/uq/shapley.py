@@ -16,7 +16,7 @@ Bachoc and Depecker, SIAM/ASA J. UQ 8, 2020, 693).
 import math
 from collections.abc import Callable
 from functools import cache
-from itertools import permutations
+from itertools import cycle, permutations
 
 import numpy as np
 
@@ -43,35 +43,33 @@ POINTS = 512
 
 
 def closed_effects(
-    function: Callable[[Array, int], Array], joint: Joint
+    function: Callable[[Array], Array], joint: Joint
 ) -> Callable[[tuple[int, ...]], Array]:
-    """Share of the variance of `function` (scores (n, d), replicate) -> (n,), which varies, that a
-    set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
+    """Share of the variance of `function`, scores of all replicates (R n, d) -> (R, n), which
+    varies, that a set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
     d = len(joint.names)
-    designs = []
-    for replicate in range(REPLICATES):
-        normals = special.ndtri(
-            sobol_points(dimension=3 * d, count=POINTS, seed=0, task="shapley", replicate=replicate)
-        )
-        base = joint.scores(normals[:, :d])
-        y = function(base, replicate), function(joint.scores(normals[:, 2 * d :]), replicate)
-        designs.append((base, normals[:, d : 2 * d], y))
-    every = np.array([y for _, _, (y, _) in designs])
-    centre = every.mean()
-    unit = every.std()
+    points = [
+        sobol_points(dimension=3 * d, count=POINTS, seed=0, task="shapley", replicate=replicate)
+        for replicate in range(REPLICATES)
+    ]
+    first, fresh, second = np.split(special.ndtri(np.concatenate(points)), 3, axis=1)
+    base = joint.scores(first)
+    answers = function(base)
+    centre = answers.mean()
+    unit = answers.std()
+    y = (answers - centre) / unit
+    apart = (function(joint.scores(second)) - centre) / unit
 
     @cache
     def closed(subset: tuple[int, ...]) -> Array:
         if len(subset) in (0, d):
             return np.append(float(len(subset) > 0), np.zeros(REPLICATES))
-        rows = []
-        for replicate, (base, fresh, answers) in enumerate(designs):
-            redrawn = function(joint.redrawn(subset, base, fresh), replicate)
-            y, apart, z = ((values - centre) / unit for values in (*answers, redrawn))
-            rows.append([(y * z).mean(), (y * (z - apart)).mean(), 0.5 * (y * y + z * z).mean()])
-        plain, small, square = np.array(rows).T
-        # a small effect by differences, whose noise is small with it
-        shared = plain if plain.mean() > LARGE * square.mean() else small
+        z = (function(joint.redrawn(subset, base, fresh)) - centre) / unit
+        square = 0.5 * (y * y + z * z).mean(axis=1)
+        shared = (y * z).mean(axis=1)
+        if shared.mean() <= LARGE * square.mean():
+            # a small effect by differences, whose noise is small with it
+            shared = (y * (z - apart)).mean(axis=1)
         return np.append(*ratio_of_means(shared, square))
 
     return closed
@@ -92,9 +90,10 @@ def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimat
         nothing = absent("the output does not vary", METHOD, n)
         return {effect: [nothing] * d for effect in ("shapley", "first", "total")}
 
-    def function(scores: Array, replicate: int) -> Array:
-        fit = response.fits[replicate % len(response.fits)]
-        return predict(fit, germ_points(scores, response.germs))
+    def function(scores: Array) -> Array:
+        parts = np.split(germ_points(scores, response.germs), REPLICATES)
+        fits = cycle(response.fits)
+        return np.array([predict(fit, part) for fit, part in zip(fits, parts, strict=False)])
 
     def answer(effect: Array) -> Estimate:
         value = float(effect[0])

@@ -141,7 +141,7 @@ def failure_probability(
         failing = look.points[evaluator.values(look.points, look.answers) < limit]
         starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
         if evaluator.integrated:
-            starts = np.column_stack([starts, np.full(len(starts), -1.0)])
+            starts = np.insert(starts, d, -1.0, axis=1)
     points = find_design_points(evaluator, starts=starts, most=0.06 * budget)
     subset = subset_simulation(evaluator, min(max(budget // 75, 100), 500))
     if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:

@@ -245,4 +245,4 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
 
 
 def _basis(points: Array) -> Array:
-    return np.column_stack([np.ones(len(points)), points])
+    return np.insert(points, 0, 1.0, axis=1)

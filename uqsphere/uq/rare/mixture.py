@@ -323,9 +323,7 @@ def importance_sampling(
     draws = Draws(mixture.drawn(block), np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0)))
     nothing = absent("the budget does not suffice for importance sampling", METHOD, 0)
     answer = ImportanceAnswer(estimate=nothing)
-    while (
-        not answer.estimate.value or answer.estimate.half_width > accuracy * answer.estimate.value
-    ):
+    while answer.estimate.half_width > accuracy * (answer.estimate.value or 0.0):
         more = min(max(done // 2, 1), evaluator.left // (REPLICATES * block))
         if more < 1:
             break
