@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -206,5 +206,6 @@ def salib_measures(
             problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y), seed=seed
         )["ST"][:d]
     # the measure alone: no interval is known
-    nothing = absent("no measure", shown, outputs.size)
-    return [replace(nothing, value=float(value), reason=None) for value in measures]
+    return [
+        Estimate(value=float(value), method=shown, evaluations=outputs.size) for value in measures
+    ]

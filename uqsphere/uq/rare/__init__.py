@@ -225,7 +225,7 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
         return estimate, warning
     low = float(special.gammaincinv(met, ENDS[0])) / size
     high = min(float(special.gammaincinv(met + 1.0, ENDS[1])) / size, 1.0)
-    shown = replace(estimate, value=met / size, low=low, high=high)
+    shown = replace(estimate, low=low, high=high)
     warning = f"{met:.3g} of {size} plain samples fail, more than the search explains"
     return estimate.holding(shown), warning
 

@@ -58,7 +58,8 @@ def find_design_points(
         first.append(starts)
     points: list[DesignPoint] = []
     with suppress(Spent):
-        values = evaluator.hard(np.concatenate(first))
+        every = np.concatenate(first)
+        values = evaluator.hard(every)
         # a typical size of g: its value at the origin, or its spread over the starts where that is
         # larger
         finite = np.isfinite(values)
@@ -70,7 +71,7 @@ def find_design_points(
         if not scale > 0.0:
             return ()
         sign = -1.0 if values[0] < 0.0 else 1.0
-        for start in np.concatenate(first):
+        for start in every:
             point, value, slope = _search(evaluator, start, scale, last)
             length = np.linalg.norm(slope)
             distance = float(np.linalg.norm(point))
