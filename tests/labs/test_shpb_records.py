@@ -426,6 +426,31 @@ def test_channels_without_a_time_column(tmp_path: Path) -> None:
     check_sound(read(tmp_path, frame[["incident"]], record=record), 0.015)
 
 
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        "Sample rate: 2 MHz",
+        "sampling rate 2000 KS/s",
+        "Samplerate: 2000000\nMode: single",
+        "# Sampling interval = 0.5 us",
+    ],
+)
+def test_metadata_have_the_clock_of_a_file_without_a_time(metadata: str, tmp_path: Path) -> None:
+    text = waves()[[INC, REC]].to_csv(index=False)
+    (tmp_path / "record.csv").write_text(f"{metadata}\n{text}")
+    document = RecordDocument(**BARS, record={"file": "record.csv"})
+    test = read_test(load_record(document, tmp_path))
+    assert "no time column: a sample every 0.5 us" in [change.text for change in test.changes]
+    check_sound(test, 0.015)
+
+
+def test_a_long_gap_is_lost_and_not_filled(tmp_path: Path) -> None:
+    test = read(tmp_path, waves().drop(index=[300, *range(1400, 1440)]))
+    texts = " ".join(change.text for change in test.changes)
+    assert "2 missing samples are filled" in texts
+    assert "80 samples lie in gaps" in texts
+
+
 def test_files_that_are_no_records(tmp_path: Path) -> None:
     frame = waves()
     with pytest.raises(UsageError, match="sample_interval"):

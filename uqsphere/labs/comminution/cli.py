@@ -16,14 +16,17 @@ from uqsphere.labs.files import chosen_command, csv_text, finish, table
 def main(argv: Sequence[str]) -> int:
     """Run a command of the lab."""
     commands = {
-        "fit": "fracture energy from tests of single particles; writes draws.csv, a strength "
-        "(default folder: FILE-fit)",
-        "feed": "shares broken, product and energy of a feed under blows (default folder: "
-        "FILE-feed)",
+        "fit": (
+            _run,
+            "fracture energy from tests of single particles; writes draws.csv, a strength "
+            "(default folder: FILE-fit)",
+        ),
+        "feed": (
+            _run,
+            "shares broken, product and energy of a feed under blows (default folder: FILE-feed)",
+        ),
     }
-    return chosen_command(
-        argv, "comminution", __doc__, {name: (_run, text) for name, text in commands.items()}
-    )
+    return chosen_command(argv, "comminution", __doc__, commands)
 
 
 def _run(chosen: argparse.Namespace) -> None:
@@ -91,9 +94,10 @@ def _fit_text(content: dict[str, Any]) -> str:
             row += _interval(size[key], 1.0, "J/kg")
         sizes.append(row)
     laws = [("law", "weight", "log likelihood", "log score (leave one out)")]
-    for name, law in content["laws"].items():
-        numbers = (f"{law['log_likelihood']:.2f}", f"{law['loo']:.2f}")
-        laws.append((name, f"{law['weight']:.0%}", *numbers))
+    laws += [
+        (name, f"{law['weight']:.0%}", f"{law['log_likelihood']:.2f}", f"{law['loo']:.2f}")
+        for name, law in content["laws"].items()
+    ]
     names = [("parameter", "value", "95 %", "sd of the logarithm: prior, posterior")]
     for name, parameter in content["parameters"].items():
         prior = "flat"

@@ -346,9 +346,10 @@ def _line(quiet: Array, place: Array) -> tuple[float, float, float, float]:
     """Slope of a line through samples at rest, with its standard deviation; the noise about the
     line, and the samples over which it is correlated."""
     about = place - place.mean()
-    squares = np.square(about).sum()
-    slope = (about * (quiet - quiet.mean())).sum() / squares
-    left = quiet - quiet.mean() - slope * about
+    squares = about @ about
+    rest = quiet - quiet.mean()
+    slope = about @ rest / squares
+    left = rest - slope * about
     noise = left.std(ddof=2)
     memory = 1.0
     if noise <= 1e-12 * np.abs(quiet).max():  # rounding is not noise

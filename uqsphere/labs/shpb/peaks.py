@@ -112,9 +112,9 @@ def largest_force(course: Force) -> Peak:
         doubts.append(
             f"isolated samples reach {single * 1e-3:.4g} kN but their neighbours do not (spike?)"
         )
-        high = max(high, single)
     if count < _FEW_ON_TOP:
         doubts.append(f"its top has only {count} samples: the sampling rate is too slow")
+    if doubts:
         high = max(high, single)
     last = medians[-width:].mean()
     if highest >= len(medians) - max(3, width // 2) or last > _FALLEN * top.value:
@@ -148,7 +148,7 @@ def _pointed_top(course: Force, level: float, most: int) -> _Top:
     # the largest of m equal means exceeds them by luck (Blom)
     scatter = course.scatter(samples)
     near = (means > highest - 2.0 * scatter).sum()
-    equal = 1.0 + near / (samples * max(1.0, course.memory / samples))
+    equal = 1.0 + near / max(samples, course.memory)
     value = highest - scatter * ndtri((equal - 0.375) / (equal + 0.25))
     ends = (value + missed / 3.0, value + missed)
     value = min(value + 2.0 / 3.0 * missed, course.medians(3).max())
