@@ -27,7 +27,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
 
 from uqsphere.arrays import Array, special
 from uqsphere.propagation.design import Design
@@ -35,7 +34,7 @@ from uqsphere.uq import Sample
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.corrected import block_parts
-from uqsphere.uq.estimate import spread
+from uqsphere.uq.estimate import spread, student
 from uqsphere.uq.response import REJECTED
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth
@@ -179,7 +178,7 @@ def _runs_away(expansion: Expansion) -> bool:
         return False
     # over the variance of the expansion
     squares = (((expansion.values - moments.mean) / moments.sd) ** 2).mean(axis=1)
-    room = float(stdtrit(len(squares) - 1, 0.5 + 0.5 * REJECTED)) * spread(squares)
+    room = student(len(squares), REJECTED) * spread(squares)
     return bool(abs(1.0 - squares.mean()) > room + 1e-9 + 4.0 * moments.error)
 
 

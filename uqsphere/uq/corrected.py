@@ -278,7 +278,7 @@ class Corrected:
             mean=mean,
             sd=sd,
             quantiles={p: self.quantile(p) for p in quantiles},
-            censored_share=share(np.zeros(self.table.shape, dtype=bool), "share of the samples"),
+            censored_share=share(np.zeros(self.table.shape, dtype=bool)),
             scale=sd.value or float(self.response.outputs.std()),
         )
 
@@ -356,7 +356,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         shares[place] = moments.first, moments.total
         integration = max(integration, moments.error)
         residual[there] = response.residuals[there] / unit
-        parts = np.array(projections(response.folds[k].fit, response.points[there])) / unit
+        parts = projections(response.folds[k].fit, response.points[there]) / unit
         top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
         level = (response.levels[there] - moments.mean) / unit
         bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2

@@ -19,6 +19,7 @@ from uqsphere.arrays import Array, Cells, Flags, special
 from uqsphere.uq.estimate import (
     CELL,
     LEFT_OUT,
+    SHARE,
     Estimate,
     absent,
     from_replicates,
@@ -143,9 +144,9 @@ def describe(
         quantiles=quantiles,
         method=method,
     )
-    beyond = share(late, "share of the samples")
+    beyond = share(late)
     if late.any() and broken.any():
-        beyond = from_replicates(late.sum(axis=1) / counts, "share of the samples", total)
+        beyond = from_replicates(late.sum(axis=1) / counts, SHARE, total)
     return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=beyond, scale=scale)
 
 
@@ -295,7 +296,7 @@ def describe_controlled(
         mean=mean,
         sd=sd,
         quantiles=answers,
-        censored_share=share(np.zeros(expensive.shape, dtype=bool), "share of the samples"),
+        censored_share=share(np.zeros(expensive.shape, dtype=bool)),
         scale=scale,
     )
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Values, special
 
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
@@ -31,6 +31,9 @@ NORMAL = 1.959963984540054
 CELL = 12.0**-0.5
 #: standard errors after which a difference is taken for one
 SURE = 4.0
+#: method of a share, and why an interval is absent
+SHARE = "share of the samples"
+FEW_REPLICATES = "an interval needs at least two independent replicates"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,10 +116,13 @@ def bounded(
     """A value between ends, which hold it; absent where one of them is beyond floating point."""
     if not np.isfinite([value, low, high, error]).all():
         return absent("the answer is beyond floating point", method, evaluations)
-    low = min(low, value)
-    high = max(high, value)
     return Estimate(
-        value=value, low=low, high=high, std_error=error, method=method, evaluations=evaluations
+        value=value,
+        low=min(low, value),
+        high=max(high, value),
+        std_error=error,
+        method=method,
+        evaluations=evaluations,
     )
 
 
@@ -135,13 +141,11 @@ def between(
     return bounded(value, low, high, error, method, evaluations)
 
 
-def student(replicates: float) -> float:
-    """Two-sided 95 % quantile of Student's t with one degree of freedom less than there are
+def student(replicates: float, level: float = LEVEL) -> float:
+    """Two-sided quantile of Student's t at a level, with one degree of freedom less than there are
     replicates.
     """
-    from scipy.special import stdtrit
-
-    return float(stdtrit(replicates - 1, ENDS[1]))
+    return float(special.stdtrit(replicates - 1.0, 0.5 + 0.5 * level))
 
 
 def freedom(replicates: int, carriers: float) -> float:
@@ -169,21 +173,31 @@ def carriers(weights: Array) -> float:
     return float(shares.sum() ** 2 / (shares**2).sum())
 
 
-def spread(rows: Array, cell: float = 0.0) -> float:
-    """Standard error of the mean of the answers (R,) of replicates.
+def spreads(rows: Array, cell: float = 0.0) -> Values:
+    """Standard errors (...) of the means of the answers (R, ...) of replicates.
 
     Counts that agree in all replicates are still known to one cell only, whose length `cell` is the
     resolution of a replicate: the deviation of a uniform cell is the least.
     """
-    return max(float(np.std(rows, ddof=1)), CELL * cell) / math.sqrt(rows.size)
+    return np.maximum(np.std(rows, axis=0, ddof=1), CELL * cell) / math.sqrt(len(rows))
 
 
-def fold_spread(values: Array) -> Array:
+def spread(rows: Array, cell: float = 0.0) -> float:
+    """Standard error of the mean of the answers (R,) of replicates, as `spreads` has it."""
+    return float(spreads(rows, cell))
+
+
+def fold_spread(values: Array) -> Values:
     """Half-width (...) of what folds (K, ...) disagree by: that of one fold more, which the model
     is taken for."""
     count = len(values)
-    spread = np.std(values, axis=0, ddof=1)
-    return np.asarray(student(count) * math.sqrt(1.0 + 1.0 / count) * spread)
+    return student(count) * math.sqrt(count + 1.0) * spreads(values)
+
+
+def mean_and_sd(values: Array) -> tuple[float, float]:
+    """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
+    unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
+    return unit * float((values / unit).mean()), unit * float((values / unit).std())
 
 
 def from_replicates(
@@ -198,17 +212,14 @@ def from_replicates(
     >>> estimate.value, round(estimate.std_error, 12)
     (2.0, 0.57735026919)
     """
-    if values.ndim != 1 or values.size < 2:
-        return absent("an interval needs at least two independent replicates", method, evaluations)
-    if not np.isfinite(values).all() or (pooled is not None and not math.isfinite(pooled)):
+    if values.size < 2:
+        return absent(FEW_REPLICATES, method, evaluations)
+    if not np.isfinite(values).all():
         return absent("a replicate gave no finite answer", method, evaluations)
-    # a power of two rounds nothing, and keeps the squares of 1e300 and of 1e-300 inside floating
-    # point
-    power = int(np.frexp(np.abs(values).max())[1])
-    deviation = float(np.ldexp(np.std(np.ldexp(values, -power), ddof=1), power))
-    with np.errstate(over="ignore", invalid="ignore"):
-        value = float(np.mean(values)) if pooled is None else float(pooled)
-        error = deviation / math.sqrt(values.size)
+    value, deviation = mean_and_sd(values)
+    if pooled is not None:
+        value = pooled
+    error = deviation / math.sqrt(values.size - 1)
     return around(value, student(values.size) * error, error, method, evaluations)
 
 
@@ -223,8 +234,6 @@ def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
     >>> [round(end, 3) for end in distances(lone)]
     [0.042, 0.101]
     """
-    from scipy.special import stdtrit
-
     n = len(influence)
     if n < 2:
         return math.inf, math.inf
@@ -235,7 +244,7 @@ def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
     deviation = deviation / unit
     second, third, fourth = (float((deviation**k).sum()) for k in (2, 3, 4))
     freedom = 2.0 / max(fourth / second**2 - 1.0 / n, 2.0 / (n - 1.0))
-    t = float(stdtrit(max(freedom, 1.0), 0.5 + 0.5 * level))
+    t = student(1.0 + max(freedom, 1.0), level)
     error = unit * math.sqrt(second / (n - 1) / n)
     shift = third / second**1.5 * (1.0 + 2.0 * t**2) / 6.0 * error
     return t * error + max(-shift, 0.0), t * error + max(shift, 0.0)
@@ -282,24 +291,21 @@ def probability_ends(
     return p * factor / (q + p * factor), p / (q * factor + p), error
 
 
-def share(
-    flags: Flags, method: str = "share of the samples", *, weights: Array | None = None
-) -> Estimate:
+def share(flags: Flags, method: str = SHARE, *, weights: Values = 1.0) -> Estimate:
     """Share of True in (R, n), where a replicate stands for its weight (R,), mean 1; interval in
     logits.
 
     None or all True gets the one-sided 95 % bound on the count.
     """
-    (replicates, n), rows = flags.shape, flags.mean(axis=1)
+    replicates, n = flags.shape
     p = float(flags.all())
     error = 0.0
     if p or not flags.any():
         method += ", one-sided 95 % bound"
     elif replicates < 2:
-        return absent("an interval needs at least two independent replicates", method, flags.size)
+        return absent(FEW_REPLICATES, method, flags.size)
     else:
-        if weights is None:
-            weights = np.ones(replicates)
+        rows = flags.mean(axis=1)
         p = float((weights * rows).mean())
         error = spread(weights * (rows - p), 1.0 / n)
     ends = probability_ends(p, 1.0 - p, error, replicates, flags.size)
@@ -326,14 +332,9 @@ def quantile(
     largest: each reads the end on its side, and the value lies between the two.
     """
     half = student(replicates) * error
-    least = reads[0]
-    most = reads[-1]
-    value = least(p)
-    highest = most(p)
-    low = least(max(p - half, 0.0))
-    high = most(min(p + half, 1.0))
-    if highest != value:
-        value = 0.5 * (value + highest)
+    low = reads[0](max(p - half, 0.0))
+    high = reads[-1](min(p + half, 1.0))
+    value = 0.5 * reads[0](p) + 0.5 * reads[-1](p)
     return between(value, low, high, replicates, method, evaluations)
 
 

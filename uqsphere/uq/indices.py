@@ -14,6 +14,7 @@ freedom are those of the replicates and of the points that carry the answer
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -21,7 +22,16 @@ from itertools import combinations
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import Estimate, absent, around, freedom, ratio_of_means, spread, student
+from uqsphere.uq.estimate import (
+    Estimate,
+    absent,
+    around,
+    carriers,
+    freedom,
+    ratio_of_means,
+    spread,
+    student,
+)
 from uqsphere.uq.points import sobol_points
 
 METHOD = "pick and freeze"
@@ -32,7 +42,7 @@ LARGE = 0.5
 #: what is left of a difference of two sums that cancel, over V
 ROUNDING = 1e-15
 
-#: numerators and denominators of replicates, (R, m) each, of m indices that are their ratios
+#: numerators (R, m) and denominators (R, m) or (R, 1) of replicates, of m indices, their ratios
 Ratio = tuple[Array, Array]
 
 
@@ -92,21 +102,19 @@ def _mean(rows: Array) -> Array:
     return np.asarray(rows.mean(axis=1))
 
 
-def _variance(a: Array, b: Array, like: Array) -> Array:
-    """V of every replicate about the common mean, repeated for as many indices as `like` has
-    blocks.
-    """
-    return np.repeat(0.5 * _mean(a * a + b * b), like.shape[2], axis=1)
+def _variance(y: Array, z: Array) -> Array:
+    """V of every replicate, of two columns or sets of columns about their common mean."""
+    return 0.5 * _mean(y * y + z * z)
 
 
 def saltelli_first(a: Array, b: Array, ab: Array) -> Ratio:
     """<b (ab - a)> / V (Saltelli et al., Comput. Phys. Commun. 181, 2010, 259, table 2 (b))."""
-    return _mean(b * (ab - a)), _variance(a, b, ab)
+    return _mean(b * (ab - a)), _variance(a, b)
 
 
 def jansen_total(a: Array, b: Array, ab: Array) -> Ratio:
     """<(a - ab)²> / 2V (Jansen 1999; Saltelli's table 2 (f))."""
-    return 0.5 * _mean((a - ab) ** 2), _variance(a, b, ab)
+    return 0.5 * _mean((a - ab) ** 2), _variance(a, b)
 
 
 def _pairs(y: Array, z: Array) -> Ratio:
@@ -118,7 +126,7 @@ def _pairs(y: Array, z: Array) -> Ratio:
     mean = 0.5 * (y.mean(axis=(0, 1)) + z.mean(axis=(0, 1)))
     y = y - mean
     z = z - mean
-    return _mean(y * z), 0.5 * _mean(y * y + z * z)
+    return _mean(y * z), _variance(y, z)
 
 
 def janon_first(a: Array, b: Array, ab: Array) -> Ratio:
@@ -142,8 +150,7 @@ def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
     """
     products = np.matmul((ba - b).transpose(0, 2, 1), ab - a) / a.shape[1]
     rows, columns = np.triu_indices(ab.shape[2], 1)
-    numerator = 0.5 * (products[:, rows, columns] + products[:, columns, rows])
-    return numerator, np.repeat(0.5 * _mean(a * a + b * b), rows.size, axis=1)
+    return 0.5 * (products[:, rows, columns] + products[:, columns, rows]), _variance(a, b)
 
 
 # --- indices of a design --------------------------------------------------------------------------
@@ -221,18 +228,15 @@ def _estimates(
     # what each point moves the answers by, as if it were a replicate: (R N, m)
     each, scale = ratio(*(part.reshape(-1, 1, part.shape[2]) for part in parts))
     squares = ((each - value * scale) / scale.mean(axis=0)) ** 2
-    fourth = (squares**2).sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        carriers = np.where(fourth > 0.0, squares.sum(axis=0) ** 2 / fourth, np.inf)
     estimates = []
     method = f"{METHOD}, {name}"
-    for index, deviations, count in zip(value.tolist(), off.T, carriers.tolist(), strict=True):
-        if not np.isfinite(index):
+    for index, deviations, weights in zip(value.tolist(), off.T, squares.T, strict=True):
+        if not math.isfinite(index):
             estimates.append(absent(NO_SCATTER, method, evaluations))
             continue
         error = 0.0
         if index or deviations.any():
             error = max(spread(deviations), ROUNDING)
-        half = student(1.0 + freedom(len(off), count)) * error
+        half = student(1.0 + freedom(len(off), carriers(weights) or math.inf)) * error
         estimates.append(around(index, half, error, method, evaluations))
     return estimates

@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import stdtrit
 
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
@@ -33,8 +32,8 @@ from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.basis import score_of
 from uqsphere.uq.chaos.expansion import law_points
 from uqsphere.uq.chaos.fit import constant_fit
-from uqsphere.uq.chaos.select import Order, folds_of, mean_and_sd
-from uqsphere.uq.estimate import count_bound, distances
+from uqsphere.uq.chaos.select import Order, folds_of
+from uqsphere.uq.estimate import count_bound, distances, mean_and_sd, student
 
 METHOD = "polynomial chaos, corrected by its residuals"
 #: folds that rows are split into: seven eighths of them fit each time, and twice 8 are the
@@ -266,7 +265,7 @@ def _bounded(response: Response) -> Response:
     # folds share most of their rows, so that unlucky rows contradict all of them at once
     down, up = distances(squares, 1.0 - (1.0 - REJECTED) / FOLDS)
     integration = ROUNDING + 4.0 * max(moments.error for moments in response.integrals)
-    t = float(stdtrit(FOLDS - 2, 0.5 + 0.5 * REJECTED))
+    t = student(FOLDS - 1, REJECTED)
     law = law_points(response.germs)[:LOOKED]
     folds = list(response.folds)
     levels = response.levels.copy()

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -115,24 +116,24 @@ def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
     """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or
     Hermite's.
     """
-    germs: list[GermLike] = []
-    for law in laws:
-        if _own_polynomials(law):
-            parameters = tuple(law.parameters.items())
-            germs.append(_own_germ(law.family, parameters, law.lower, law.upper))
-        elif law.is_steps and 1 < len(np.unique(law.data)) <= MOST_STEPS:
-            germs.append(_steps_germ(law))
-        else:
-            germs.append(law.family.germ)
-    return tuple(germs)
+    return tuple(map(_germ_of, laws))
+
+
+def _germ_of(law: Law) -> GermLike:
+    if _own_polynomials(law):
+        return _own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper)
+    if law.is_steps and 1 < len(np.unique(law.data)) <= MOST_STEPS:
+        return _steps_germ(law)
+    return law.family.germ
 
 
 def _steps_germ(law: Law) -> Germ:
     """The germ of a law with few values, whose polynomials are those of its probabilities."""
     scores, weights = steps_of(law)
     values = law.from_normal(scores)
-    centre = 0.5 * float(values[0] + values[-1])
-    half = 0.5 * float(values[-1] - values[0]) or 1.0
+    low, *_, high = values.tolist()
+    centre = 0.5 * (low + high)
+    half = 0.5 * (high - low) or 1.0
     return Germ(
         law=law,
         centre=centre,
@@ -151,7 +152,7 @@ def steps_of(law: Law) -> tuple[Array, Array]:
     inside = data[(data >= law.lower) & (data <= law.upper)]
     counts = np.unique(inside, return_counts=True)[1]
     weights = counts / counts.sum()
-    return np.asarray(special.ndtri(np.cumsum(weights) - 0.5 * weights)), weights
+    return special.ndtri(np.cumsum(weights) - 0.5 * weights), weights
 
 
 def highest_degrees(germs: Sequence[GermLike], points: Array) -> Indices:
@@ -164,7 +165,7 @@ def highest_degrees(germs: Sequence[GermLike], points: Array) -> Indices:
     for germ, column in zip(germs, points.T, strict=True):
         different = len(np.unique(values_of(germ, column).round(12)))
         most = recurrence_of(germ, HIGHEST_DEGREE).shape[1]
-        highest.append(max(min(different, most) - 1, 0))
+        highest.append(min(different, most) - 1)
     return np.array(highest)
 
 
@@ -241,13 +242,13 @@ def orthonormal(germ: GermLike, degree: int, x: Values) -> list[Any]:
 
 
 def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
-    """Independent standard normals (n, d) -> points (n, d) of the germs' bases: as they are, or
-    2Φ(z) - 1.
+    """Independent standard normals (..., d) -> points (..., d) of the germs' bases: as they are,
+    or 2Φ(z) - 1.
     """
-    points = np.array(normals, dtype=float)
+    points = normals.copy()
     for column, germ in enumerate(germs):
         if base_of(germ) == "uniform":
-            points[:, column] = 2.0 * special.ndtr(points[:, column]) - 1.0
+            points[..., column] = 2.0 * special.ndtr(normals[..., column]) - 1.0
     return points
 
 
@@ -274,26 +275,23 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
 
 
 @lru_cache(maxsize=64)
-def nested(
-    dimension: int, norm: float, highest: int, most: int
-) -> tuple[Indices, tuple[int, ...]] | None:
-    """The largest hyperbolic set of at most `most` terms, and how many of them each lower degree
-    has.
+def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Indices, tuple[int, ...]]:
+    """The largest hyperbolic set of at most `most` terms, and how many of them each degree from 1
+    on has.
 
-    The rows are ordered so that the set of every degree comes first.  None where degree 1 has too
-    many.
+    The rows are ordered so that the set of every degree comes first.  The constant alone and no
+    degree where the first has too many.
     """
-    sets = list[Indices]()
+    sets = [np.zeros((1, dimension), dtype=np.int64)]
     for degree in range(1, highest + 1):
         indices = hyperbolic_indices(dimension, degree, norm, most)
         if indices is None:
             break
         sets.append(indices)
-    if not sets:
-        return None
-    reach = (sets[-1].astype(float) ** norm).sum(axis=1, where=sets[-1] > 0) ** (1.0 / norm)
+    terms = sets[-1]
+    reach = (terms.astype(float) ** norm).sum(axis=1) ** (1.0 / norm)
     # a sum of roots may miss a whole number by rounding
-    return sets[-1][np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(map(len, sets))
+    return terms[np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(map(len, sets[1:]))
 
 
 def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
@@ -306,12 +304,9 @@ def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
     """
     rows = list(map(tuple, active.tolist()))
     ranks = dict(zip(rows, weights.tolist(), strict=True))
-    base = set(rows)
-    waiting = list(rows)
-    while waiting:
-        new = set(_below(waiting.pop())) - base
-        base |= new
-        waiting += new
+    base = set[tuple[int, ...]]()
+    for degrees in (active + 1).tolist():
+        base.update(product(*map(range, degrees)))
     rank = dict[tuple[int, ...], float]()
     for row in base:
         for j, k in enumerate(row):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.chaos.basis import (
     Germ,
     GermLike,
@@ -27,11 +27,12 @@ from uqsphere.uq.chaos.basis import (
     rows_of,
     steps_of,
 )
-from uqsphere.uq.estimate import ratio_of_means, spread, student
+from uqsphere.uq.estimate import ratio_of_means, spread, spreads, student
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
 from uqsphere.uq.points import sobol_points
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from pandas import DataFrame
 
 #: rows whose values stay in the processor's cache
@@ -97,7 +98,13 @@ class Chaos:
     @property
     def constant(self) -> bool:
         """Whether nothing but a constant was found."""
-        return not np.any(self.coefficients[1:])
+        return not self.coefficients[1:].any()
+
+    @property
+    def parts(self) -> Flags:
+        """Which terms (2, P, d) are in the first and in the total index of every input."""
+        active = self.multi_indices > 0
+        return np.stack([active & (active.sum(axis=1, keepdims=True) == 1), active])
 
     def to_frame(self, names: Sequence[str] = ()) -> DataFrame:
         """The terms: one row each with the degree in every input and the coefficient."""
@@ -155,15 +162,13 @@ class Chaos:
         if not self.log:
             return self
         inputs = np.flatnonzero(self.multi_indices.any(axis=0))
-        sets = nested(len(inputs), 0.75, 10, PLAIN)
-        terms = np.zeros((sets[1][-1] if sets else 1, len(self.germs)), dtype=np.int64)
-        if sets:
-            terms[:, inputs] = sets[0]
+        degrees, _ = nested(len(inputs), 0.75, 10, PLAIN)
+        terms = np.zeros((len(degrees), len(self.germs)), dtype=np.int64)
+        terms[:, inputs] = degrees
         points = law_points(self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
-        values = predict(self, points)
         rows = rows_of(self.germs, points, terms)
-        coefficients = np.asarray(np.linalg.solve(rows @ rows.T, rows @ values), dtype=float)
+        coefficients: Any = np.linalg.solve(rows @ rows.T, rows @ predict(self, points))
         return Chaos(
             coefficients=coefficients,
             multi_indices=terms,
@@ -177,29 +182,31 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     if not isinstance(germ, Germ):
         return chaospy.Normal(0.0, 1.0) if germ == "normal" else chaospy.Uniform(-1.0, 1.0)
     law = germ.law
-    centre = germ.centre
-    half = germ.half
     if law.family.name == "beta":
         return chaospy.Beta(law.parameters["alpha"], law.parameters["beta"], -1.0, 1.0)
+
+    def physical(x: ArrayLike) -> Array:
+        return germ.centre + germ.half * np.asarray(x)
+
     return chaospy.UserDistribution(
-        cdf=lambda x: law.cdf(centre + half * np.asarray(x)),
-        pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
+        cdf=lambda x: law.cdf(physical(x)),
+        pdf=lambda x: law.pdf(physical(x)) * germ.half,
         lower=lambda: -1.0,
         upper=lambda: 1.0,
-        ppf=lambda p: np.clip((law.ppf(p) - centre) / half, -1.0, 1.0),
+        ppf=lambda p: np.clip((law.ppf(p) - germ.centre) / germ.half, -1.0, 1.0),
     )
 
 
 def predict(fit: Chaos, points: Array) -> Array:
-    """Values (n,) of the expansion at germ points (n, d)."""
-    rows = [
-        fit.coefficients @ rows_of(fit.germs, points[k : k + BLOCK], fit.multi_indices)
-        for k in range(0, max(len(points), 1), BLOCK)
-    ]
-    values = np.concatenate(rows)
+    """Values (...) of the expansion at germ points (..., d)."""
+    rows = points.reshape(-1, points.shape[-1])
+    parts = np.array_split(rows, len(rows) // BLOCK + 1)
+    values = np.concatenate(
+        [fit.coefficients @ rows_of(fit.germs, part, fit.multi_indices) for part in parts]
+    ).reshape(points.shape[:-1])
     if fit.log:
         values = fit.sign * np.exp(np.clip(values, *fit.bounds))
-    return np.asarray(values)
+    return values
 
 
 # --- moments and indices --------------------------------------------------------------------------
@@ -236,45 +243,48 @@ def integrals(fit: Chaos) -> Integrals:
     ([0.9, 0.0], [1.0, 0.1])
     """
     d = len(fit.germs)
-    if fit.constant or not d:
-        level = float(predict(fit, np.zeros((1, d)))[0])
+    if fit.constant:
+        level = float(predict(fit, np.zeros(d)))
         return Integrals(mean=level, sd=0.0, first=np.zeros(d), total=np.zeros(d))
     if fit.log and (fit.multi_indices > 0).sum(axis=1).max() == 1:
         return _product(fit)
     plain = fit.plain_form
-    active = plain.multi_indices > 0
-    varying = np.where(active.any(axis=1), plain.coefficients, 0.0)
+    parts = plain.parts
+    varying = plain.coefficients * parts[1].any(axis=1)
     unit = float(np.abs(varying).max())  # squares of large ones stay finite
     squares = (varying / unit) ** 2
     mean = float(plain.coefficients[0])
-    single = active & (active.sum(axis=1) == 1)[:, None]
     whole = float(squares.sum())
-    first = squares @ single
-    total = squares @ active
+    shares = squares @ parts
     if not fit.log:
-        return Integrals(
-            mean=mean, sd=unit * math.sqrt(whole), first=first / whole, total=total / whole
-        )
-    rows = _pair_points(fit.germs)
-    shape = PAIRS_REPLICATES, PAIRS, -1
+        first, total = shares / whole
+        return Integrals(mean=mean, sd=unit * math.sqrt(whole), first=first, total=total)
+    points = _pair_points(fit.germs)
     # about the mean of the plain form: what the two means differ by is no scatter
-    pairs = [(predict(form, rows).reshape(shape) - mean) / unit for form in (fit, plain)]
-    parts = [(y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]) for y in pairs]
-    (first_s, v), (first_p, w) = (saltelli_first(*part) for part in parts)
-    (total_s, _), (total_p, _) = (jansen_total(*part) for part in parts)
-    middle = (pairs[0] - pairs[1])[:, :, [0, -1]].mean(axis=(1, 2))
-    scale = whole + v - w - (middle**2)[:, None]
-    first, first_off = ratio_of_means(first + first_s - first_p, scale)
-    total, total_off = ratio_of_means(total + total_s - total_p, scale)
+    own, other = ((predict(form, points) - mean) / unit for form in (fit, plain))
+    (tops, variance), (plain_tops, plain_variance) = map(_pair_parts, (own, other))
+    middle = (own - other)[:, :, [0, -1]].mean(axis=(1, 2))
+    scale = whole + variance - plain_variance - (middle**2)[:, None]
+    ratios, off = ratio_of_means(shares.ravel() + tops - plain_tops, scale)
+    first, total = ratios.reshape(2, d)
     t = student(PAIRS_REPLICATES)
     return Integrals(
         mean=mean + unit * float(middle.mean()),
         sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
         first=first,
         total=total,
-        error=max(t * spread(column) for column in (*first_off.T, *total_off.T)),
+        error=t * float(spreads(off).max()),
         moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
     )
+
+
+def _pair_parts(y: Array) -> tuple[Array, Array]:
+    """Numerators (R, 2 d) of first and total indices, and variances (R, 1), of values (R, N, d + 2)
+    at the blocks of pairs.
+    """
+    parts = y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]
+    first, variance = saltelli_first(*parts)
+    return np.hstack([first, jansen_total(*parts)[0]]), variance
 
 
 @lru_cache(maxsize=4)
@@ -286,15 +296,15 @@ def law_points(germs: tuple[GermLike, ...]) -> Array:
 
 @lru_cache(maxsize=4)
 def _pair_points(germs: tuple[GermLike, ...]) -> Array:
-    """Germ points (..., d) of the pairs that integrate ln y: replicates of base points with their
-    blocks.
+    """Germ points (R, N, d + 2, d) of the pairs that integrate ln y: replicates of base points with
+    their blocks.
     """
     blocks = Blocks(inputs_count=len(germs))
     points = [
         blocks.mix(*base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
         for r in range(PAIRS_REPLICATES)
     ]
-    return germ_points(special.ndtri(np.concatenate(points).reshape(-1, len(germs))), germs)
+    return germ_points(special.ndtri(np.array(points)), germs)
 
 
 def _product(fit: Chaos) -> Integrals:
@@ -330,12 +340,10 @@ def _product(fit: Chaos) -> Integrals:
     )
 
 
-def projections(fit: Chaos, points: Array) -> tuple[Array, Array]:
-    """What the terms of single inputs, (d, n), and all terms with an input, (d, n), say at germ
-    points (n, d).
+def projections(fit: Chaos, points: Array) -> Array:
+    """What the terms of single inputs, and all terms with an input, (2, d, n), say at germ points
+    (n, d).
     """
     plain = fit.plain_form
-    active = plain.multi_indices > 0
     rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]
-    single = active & (active.sum(axis=1) == 1)[:, None]
-    return single.T.astype(float) @ rows, active.T.astype(float) @ rows
+    return plain.parts.swapaxes(1, 2).astype(float) @ rows

@@ -9,7 +9,7 @@ small where candidates outnumber samples.  Errors are counted in the units of th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,9 +17,12 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.chaos.basis import Indices
+from uqsphere.uq.estimate import mean_and_sd
 
 Order: TypeAlias = npt.NDArray[np.intp]
 
+#: terms at most: more take time and gain nothing in tests/campaigns/chaos.py
+MOST_TERMS = 256
 #: what is left of the square norm of the outputs by rounding (the square of 1e-15), and of a row
 #: that depends on those taken before, to half of the digits
 ROUNDING, DEPENDENT = 1e-30, 1e-8
@@ -32,7 +35,7 @@ class Basis(NamedTuple):
 
     terms: Indices
     rows: Array
-    sizes: tuple[int, ...] = ()
+    sizes: Sequence[int] = ()
 
 
 class Target:
@@ -65,24 +68,20 @@ class Target:
         return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
 
     def error(self, values: Array) -> float:
-        """Mean square error of predictions (n,); infinite where one is not finite."""
-        error = float(np.add.reduce(self.squares(values))) / len(values)
-        if math.isfinite(error):
-            return error
-        return math.inf
+        """Mean square error of predictions (n,)."""
+        return float(np.add.reduce(self.squares(values))) / len(values)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
-    """Terms (k, d) with their rows (k, n), their K-fold error and its standard error, over the
-    outputs' variance.
+class Choice(NamedTuple):
+    """Terms (k, d) with their rows (k, n), the predictions `held_out` (n,) of every sample without
+    its fold, and their error: K-fold, over the outputs' variance.
     """
 
     target: Target
     terms: Indices
     rows: Array
+    held_out: Array
     error: float
-    std_error: float
 
     @property
     def coefficients(self) -> Array:
@@ -90,24 +89,11 @@ class Choice:
         q, r = np.linalg.qr(self.rows.T)
         return np.asarray(np.linalg.solve(r, q.T @ self.target.values))
 
-
-def _chosen(target: Target, basis: Basis, kept: Order, error: float, held_out: Array) -> Choice:
-    """The choice of some rows of a basis, from the predictions (n,) of every sample without its
-    fold.
-    """
-    return Choice(
-        target=target,
-        terms=basis.terms[kept],
-        rows=basis.rows[kept],
-        error=error,
-        std_error=float(np.std(target.squares(held_out))) / math.sqrt(held_out.size),
-    )
-
-
-def mean_and_sd(values: Array) -> tuple[float, float]:
-    """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
-    unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
-    return unit * float((values / unit).mean()), unit * float((values / unit).std())
+    @property
+    def std_error(self) -> float:
+        """The standard error of the error."""
+        squares = self.target.squares(self.held_out)
+        return float(squares.std()) / math.sqrt(squares.size)
 
 
 def folds_of(n: int, folds: int) -> Order:
@@ -117,12 +103,12 @@ def folds_of(n: int, folds: int) -> Order:
     folds = min(folds, n)
     generator = np.random.default_rng(0)
     runs = [generator.permutation(folds) for _ in range(-(-n // folds))]
-    return np.concatenate(runs)[:n].astype(np.intp)
+    return np.concatenate(runs)[:n]
 
 
-def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
+def forward_selection(target: Target, basis: Basis) -> Choice:
     """Orthogonal least squares: the row that lowers the residual most (Chen, Billings and Luo
-    1989), in every lane, at most so many.
+    1989), in every lane, never more of them than half the samples.
 
     Directions are orthonormal over the samples that a lane sees and go on over the fold left out,
     so that the fit is a prediction there.  Correlations follow from those before by one product of
@@ -132,8 +118,9 @@ def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
     folds = target.folds
     seen = folds != np.arange(folds.max() + 1)[:, None]
     masks = np.concatenate([np.ones((1, folds.size)), seen.astype(float)])
-    (lanes, n), every = masks.shape, np.arange(masks.shape[0])
-    most = max(min(most, len(candidates)), 1)
+    lanes, n = masks.shape
+    every = np.arange(lanes)
+    most = min(n // 2, MOST_TERMS, len(candidates))
     directions = np.empty((lanes, most, n))
     # products of every direction with every row of the basis
     along = np.empty((most, lanes, len(candidates)))
@@ -197,33 +184,38 @@ def forward_selection(target: Target, basis: Basis, most: int) -> Choice:
         left[every, rows] = math.inf
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
-    kept = np.array(order[:size], dtype=np.intp)
-    return _chosen(target, basis, kept[kept >= 0], best, held_out)
+    kept = np.array(order[:size])
+    kept = kept[kept >= 0]
+    return Choice(target, basis.terms[kept], candidates[kept], held_out, best)
 
 
-def whole_set(target: Target, basis: Basis, most: int) -> Choice:
-    """All rows of a set, of the nested sets of a basis that with the least K-fold error.
+def whole_set(target: Target, basis: Basis) -> Choice:
+    """All rows of a set, of the nested sets of a basis that with the least K-fold error, never more
+    than two thirds of the samples: no choice that few samples could mislead.
 
     Least squares without a fold miss its samples by (I - H_kk)⁻¹ r_k, with H_kk the block of the
     projection on the rows and r_k the residuals of all samples.
     """
     values = target.values
-    count = int(target.folds.max()) + 1
-    most = min(most, values.size - -(-values.size // count) - 1)
+    n = values.size
+    folds = [np.flatnonzero(target.folds == k) for k in range(target.folds.max() + 1)]
+    most = min(2 * n // 3, MOST_TERMS, n - -(-n // len(folds)) - 1)
     sizes = [size for size in basis.sizes if size <= most]
-    best = 0, math.inf, np.zeros(values.size)
+    size = 1
+    best = math.inf
+    predicted = np.zeros(n)
     q = np.linalg.qr(basis.rows[: max(sizes, default=0)].T)[0]
-    for size in sizes:
+    for tried in sizes:
         held_out = values.copy()
-        part = q[:, :size]
+        part = q[:, :tried]
         left = values - part @ (part.T @ values)
-        for at in (np.flatnonzero(target.folds == k) for k in range(count)):
+        for at in folds:
             # 1e-12: where the other folds leave a sample open, its prediction is far off and not an
             # error
             held_out[at] -= np.linalg.solve(
                 (1.0 + 1e-12) * np.eye(at.size) - part[at] @ part[at].T, left[at]
             )
         error = target.error(held_out)
-        if error < best[1]:
-            best = size, error, held_out
-    return _chosen(target, basis, np.arange(max(best[0], 1)), *best[1:])
+        if error < best:
+            size, best, predicted = tried, error, held_out
+    return Choice(target, basis.terms[:size], basis.rows[:size], predicted, best)
