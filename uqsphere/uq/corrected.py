@@ -32,9 +32,9 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Values
 from uqsphere.uq.chaos import projections
-from uqsphere.uq.describe import Description, heavy_tail
+from uqsphere.uq.describe import Description, heavy_tail, rising
 from uqsphere.uq.estimate import (
     Estimate,
     absent,
@@ -43,6 +43,8 @@ from uqsphere.uq.estimate import (
     distances,
     fold_spread,
     share,
+    spread,
+    spreads,
     student,
 )
 from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
@@ -78,11 +80,6 @@ class Corrected:
             text += f"; extrapolated for the {100.0 * self.dropped:.3g} % of the runs that failed"
         return text
 
-    def table_error(self, values: Array, cell: float = 0.0) -> Array:
-        """Half-width (...) from the points of the table and from the folds, for values (R, ...)."""
-        spread = np.maximum(np.std(values, axis=0, ddof=1), cell / math.sqrt(12.0))
-        return np.asarray(student(len(values)) * spread / math.sqrt(len(values)))
-
     # --- moments ----------------------------------------------------------------------------------
 
     def _table_moment(self, power: int, centre: float = 0.0) -> tuple[Array, float]:
@@ -90,7 +87,7 @@ class Corrected:
         their mean: by the integrals of the expansions where these are more accurate than the table.
         """
         replicates = ((self.table - centre) ** power).mean(axis=1)
-        half = float(self.table_error(replicates))
+        half = student(len(replicates)) * spread(replicates)
         table = replicates.reshape(-1, FOLDS).mean(axis=0)
         if any(fold.reach for fold in self.response.folds):
             return table, half
@@ -110,13 +107,11 @@ class Corrected:
         levels, sampling = self._table_moment(1)
         residuals = self.response.residuals
         value, corrected = _settled(levels, residuals)
-        down, up = distances(residuals)
-        low = corrected - math.hypot(down, sampling)
-        high = corrected + math.hypot(up, sampling)
-        return self._estimate(min(max(value, low), high), low, high)
+        return self._estimate(value, *_ends(corrected, residuals, sampling))
 
     def _estimate(self, value: float, low: float, high: float) -> Estimate:
-        """An estimate with its ends; absent where one is not finite."""
+        """An estimate held between its ends; absent where one is not finite."""
+        value = min(max(value, low), high)
         return bounded(value, low, high, 0.25 * (high - low), self.method, self.runs)
 
     def sd(self) -> Estimate:
@@ -125,20 +120,17 @@ class Corrected:
         The upper end is open where the tail may be too heavy for a variance.
         """
         outputs = self.response.outputs
-        levels = self.response.levels
         centre = float(self._table_moment(1)[0].mean() + self.response.residuals.mean())
-        influence = (outputs - centre) ** 2 - (levels - centre) ** 2
+        influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
-        sampling = math.hypot(sampling, float(fold_spread(squares)))
         value, variance = _settled(squares, influence)
-        down, up = (math.hypot(part, sampling) for part in distances(influence))
+        ends = _ends(variance, influence, math.hypot(sampling, fold_spread(squares)))
         rows = (outputs - outputs.mean()) ** 2
-        alone = distances(rows)
-        if sum(alone) < down + up or variance <= 0.0:
-            value = variance = float(rows.mean())
-            down, up = alone
-        ends = (min(max(value, variance - down), variance + up), variance - down, variance + up)
-        estimate = self._estimate(*(math.sqrt(max(end, 0.0)) for end in ends))
+        alone = _ends(float(rows.mean()), rows)
+        if alone[1] - alone[0] < ends[1] - ends[0] or variance <= 0.0:
+            value = float(rows.mean())
+            ends = alone
+        estimate = self._estimate(*(math.sqrt(max(square, 0.0)) for square in (value, *ends)))
         reason = heavy_tail(self.table) or heavy_tail(outputs, certain=True)
         if reason and estimate.value is not None:
             return replace(estimate, high=None, reason=reason)
@@ -159,43 +151,19 @@ class Corrected:
         predicted = table(0.0)
         nodes, weights = nodes_of(self.response.residuals)
         changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
-        means = predicted.mean(axis=1)
         cell = 0.0
         if np.isin(predicted, (0.0, 1.0)).all():
             cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
-        expected = weights @ np.array(changes)
-        sampling = self.table_error(means, cell)
-        ends = self._ends(means.mean(), rows - left_out, expected, sampling)
+        ends = _probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell)
         value, low, high = map(float, ends)
         missed = count_bound(self.runs)
         estimate = self._estimate(value, low, high)
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
-            nothing = absent(reason, self.method, self.runs)
-            estimate = replace(nothing, low=low, high=high)
+            estimate = replace(absent(reason, self.method, self.runs), low=low, high=high)
         return replace(
             estimate, low_unseen=max(low - missed, 0.0), high_unseen=min(high + missed, 1.0)
         )
-
-    def _ends(
-        self, table: Array, influence: Array, expected: Array, sampling: Array
-    ) -> tuple[Array, Array, Array]:
-        """Value and ends (...) of probabilities: of the table, corrected by influences (n, ...).
-
-        expected : (...) variance that residuals like those of the rows make
-        sampling : (...) half-width of the table
-
-        The value has the correction where it is significant; the interval is that of the whole
-        correction.
-        """
-        n = len(influence)
-        correction = influence.mean(axis=0)
-        noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
-        half = np.hypot(student(n) * np.sqrt(noise), sampling)
-        whole = table + correction
-        low = np.clip(whole - half, 0.0, 1.0)
-        high = np.clip(whole + half, 0.0, 1.0)
-        return np.clip(table + _significant(correction, noise, n), low, high), low, high
 
     @cached_property
     def _few_values(self) -> bool:
@@ -235,14 +203,11 @@ class Corrected:
             weight * np.abs(below(pooled, node) - below(pooled))
             for node, weight in zip(*nodes_of(outputs - levels), strict=True)
         )
-        table = np.stack([below(np.sort(values)) for values in predicted])
+        table = np.array([below(np.sort(values)) for values in predicted])
         influence = np.subtract(outputs[:, None] <= places, levels[:, None] <= places, dtype=float)
-        sampling = self.table_error(table, 1.0 / table.shape[1])
-        value, low, high = self._ends(table.mean(axis=0), influence, expected, sampling)
-        up = np.maximum.accumulate
-        down = np.minimum.accumulate
-        value = 0.5 * (up(value) + down(value[::-1])[::-1])
-        return places, value, np.minimum(up(low), value), np.maximum(down(high[::-1])[::-1], value)
+        value, low, high = _probability(table, influence, expected, 1.0 / len(places))
+        value = np.mean(rising(value), axis=0)
+        return places, value, np.minimum(rising(low)[0], value), np.maximum(rising(high)[1], value)
 
     def quantile(self, p: float) -> Estimate:
         """The quantile at p: where the distribution function of (1) reaches it."""
@@ -250,8 +215,7 @@ class Corrected:
 
         def above(levels: Array) -> float:
             # the place itself: the output may be this value with a probability
-            place = int(np.searchsorted(levels, p - 1e-12))
-            return float(places[place]) if place < len(places) else math.inf
+            return float(np.append(places, math.inf)[np.searchsorted(levels, p - 1e-12)])
 
         def below(levels: Array) -> float:
             if self._few_values:
@@ -272,10 +236,9 @@ class Corrected:
 
     def describe(self, quantiles: Sequence[float]) -> Description:
         """Mean, standard deviation and quantiles."""
-        mean = self.mean()
         sd = self.sd()
         return Description(
-            mean=mean,
+            mean=self.mean(),
             sd=sd,
             quantiles={p: self.quantile(p) for p in quantiles},
             censored_share=share(np.zeros(self.table.shape, dtype=bool)),
@@ -295,7 +258,15 @@ def nodes_of(residuals: Array) -> tuple[Array, Array]:
     return nodes, weights / len(residuals)
 
 
-def _significant(correction: Array, noise: Array, n: int) -> Array:
+def _ends(value: float, influence: Array, sampling: float = 0.0) -> tuple[float, float]:
+    """Ends of the interval about a value that rows move by influences (n,) and points of the law by
+    a half-width.
+    """
+    down, up = distances(influence)
+    return value - math.hypot(down, sampling), value + math.hypot(up, sampling)
+
+
+def _significant(correction: Values, noise: Values, n: int) -> Values:
     """Corrections by n rows where they are significant at the level of the intervals, else 0: one
     that noise of this variance could make by itself adds little but that noise.
     """
@@ -309,11 +280,32 @@ def _settled(levels: Array, influence: Array) -> tuple[float, float]:
     Without a significant correction the value is the median of the folds: one that runs away does
     not count.
     """
+    n = len(influence)
     corrected = float(levels.mean() + influence.mean())
     median = float(np.median(levels))
-    noise = influence.var(ddof=1) / len(influence)
-    correction = _significant(np.array(corrected - median), noise, len(influence))
+    correction = _significant(corrected - median, influence.var(ddof=1) / n, n)
     return median + float(correction), corrected
+
+
+def _probability(
+    table: Array, influence: Array, expected: Values, cell: float
+) -> tuple[Array, Array, Array]:
+    """Values and ends (...) of probabilities: those of the replicates of the table (R, ...), known
+    to a cell, corrected by influences (n, ...).
+
+    expected : (...) variance that residuals like those of the rows make
+
+    The value has the correction where it is significant; the interval is that of the whole
+    correction.
+    """
+    n = len(influence)
+    middle = table.mean(axis=0)
+    correction = influence.mean(axis=0)
+    noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
+    sampling = student(len(table)) * spreads(table, cell)
+    half = np.hypot(student(n) * np.sqrt(noise), sampling)
+    low, high = np.clip(middle + correction + np.array([-half, half]), 0.0, 1.0)
+    return np.clip(middle + _significant(correction, noise, n), low, high), low, high
 
 
 # --- Sobol' indices -------------------------------------------------------------------------------
@@ -339,79 +331,73 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     d = len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
     method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
-    unbounded = heavy_tail(y, certain=True)
     if not np.ptp(y) > 1e-14 * abs(y).max():
         nothing = [absent("the output does not vary with the inputs", method, n)] * d
-        return {"first": nothing, "total": list(nothing)}
-    used = np.isin(response.fold, folds) if folds else np.ones(n, dtype=bool)
+        return {"first": nothing, "total": nothing}
     residual = (y - y.mean()) / y.std()
     top = np.zeros((2, d, n))
     bottom = residual**2
     shares = np.zeros((max(len(folds), 2), 2, d))
-    integration = 0.0
+    rounding = 1e-15
     for place, k in enumerate(folds):
         there = response.fold == k
         moments = response.integrals[k]
         unit = moments.sd or 1.0
         shares[place] = moments.first, moments.total
-        integration = max(integration, moments.error)
+        rounding = max(rounding, moments.error)
         residual[there] = response.residuals[there] / unit
         parts = projections(response.folds[k].fit, response.points[there]) / unit
         top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
         level = (response.levels[there] - moments.mean) / unit
         bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2
-    top = top[:, :, used]
-    bottom = bottom[used]
-    residual = residual[used]
+    used = np.isin(response.fold, folds or range(FOLDS))
+    top, bottom, residual = top[:, :, used], bottom[used], residual[used]
     whole = float(bottom.mean())
     left = float(np.mean(residual**2)) / whole
-    most_left = min(left + distances(residual**2)[1] / whole, 1.0)
-    spread = fold_spread(shares)
+    # of the residuals' variance: the least, the most, their half-width, and what is likeliest
+    rests = np.zeros((4, 2, d))
+    for j, column in enumerate(response.points[used].T):
+        blocks = block_parts(column, residual)
+        low, *larger = (part.mean() / whole for part in blocks)
+        half = max(distances(part)[1] for part in blocks) / whole
+        rests[:, 0, j] = low, max(larger), half, 0.5 * (low + max(larger))
     expanded = np.median(shares, axis=0)
-    rounding = integration + 1e-15
+    rests[1, 1] = min(left + distances(residual**2)[1] / whole, 1.0)
+    rests[3, 1] = expanded[1] * left
+    least, most, error, likely = rests
     values = top.mean(axis=2) / whole
     influences = (top - values[:, :, None] * bottom) / whole
     noise = influences.var(axis=2, ddof=1) / len(bottom)
-    orders: dict[str, list[Estimate]] = {"first": [], "total": []}
-    for j in range(d):
-        by_blocks = block_parts(response.points[used, j], residual)
-        least, *larger = (float(part.mean()) / whole for part in by_blocks)
-        most = max(larger)
-        error = max(distances(part)[1] for part in by_blocks) / whole
-        # of the residuals' variance: the least, the most, their half-width, and what is likeliest
-        rests = (
-            (least, most, error, 0.5 * (least + most)),
-            (0.0, most_left, 0.0, float(expanded[1, j]) * left),
-        )
-        for row, (least, most, error, likely) in enumerate(rests):
-            value = float(values[row, j])
-            down, up = distances(influences[row, j])
-            low = value + least - math.hypot(down, spread[row, j], error) - rounding
-            high = value + most + math.hypot(up, spread[row, j], error) + rounding
-            low, high = (min(max(end, 0.0), 1.0) for end in (low, high))
-            if unbounded:
-                low = 0.0
-                high = 1.0
-            median = float(expanded[row, j])
-            correction = np.array(value + likely - median)
-            best = median + float(_significant(correction, noise[row, j], n))
-            best = min(max(best, low), high)
-            estimate = bounded(best, low, high, 0.25 * (high - low), method, n)
-            orders[("first", "total")[row]].append(replace(estimate, reason=unbounded or None))
+    reach = np.apply_along_axis(distances, 2, influences)
+    reach = np.hypot(reach, np.hypot(fold_spread(shares), error)[:, :, None]) + rounding
+    lows = np.clip(values + least - reach[:, :, 0], 0.0, 1.0)
+    highs = np.clip(values + most + reach[:, :, 1], 0.0, 1.0)
+    reasons = [heavy_tail(y, certain=True)] * 2
+    if reasons[0]:
+        lows[:] = 0.0
+        highs[:] = 1.0
+    best = expanded + _significant(values + likely - expanded, noise, n)
     if not folds:
         # no less than the first index, and at most what the others leave; in between the median of
         # the expansions, which contradict each other
-        lows = [each.low or 0.0 for each in orders["first"]]
-        medians = np.full(d, math.nan)
+        lows[1] = lows[0]
+        highs[1] = np.clip(1.0 - (lows[0].sum() - lows[0]), lows[0], 1.0)
+        best[1] = math.nan
         if response.error < 1.0:
-            medians = np.median([moments.total for moments in response.integrals], axis=0)
-        for j, low in enumerate(lows):
-            high = min(max(1.0 - (sum(lows) - low), low), 1.0)
-            bounds = replace(absent("bounded by the first indices", method, n), low=low, high=high)
-            if math.isfinite(medians[j]):
-                value = min(max(float(medians[j]), low), high)
-                bounds = replace(bounds, value=value, std_error=0.25 * (high - low))
-            orders["total"][j] = bounds
+            best[1] = np.median([moments.total for moments in response.integrals], axis=0)
+        reasons[1] = "bounded by the first indices"
+    orders = {}
+    columns = np.stack([np.clip(best, lows, highs), lows, highs], axis=2).tolist()
+    for order, rows, reason in zip(("first", "total"), columns, reasons, strict=True):
+        orders[order] = [
+            replace(
+                bounded(value, low, high, 0.25 * (high - low), method, n),
+                low=low,
+                high=high,
+                reason=reason or None,
+            )
+            for value, low, high in rows
+        ]
     return orders
 
 

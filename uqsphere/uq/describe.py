@@ -311,7 +311,13 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
     steps = np.concatenate([np.full(part.size, sign / part.size) for part, sign in parts])
     order = np.argsort(places, kind="stable")
     below = np.cumsum(steps[order])
-    # a distribution function never falls: half-way between the running maximum and the running
-    # minimum from the right
-    below = 0.5 * (np.maximum.accumulate(below) + np.minimum.accumulate(below[::-1])[::-1])
+    # a distribution function never falls
+    below = np.mean(rising(below), axis=0)
     return lambda p: float(places[order[min(int(np.searchsorted(below, p)), len(order) - 1)]])
+
+
+def rising(levels: Array) -> tuple[Array, Array]:
+    """The running maximum of levels (n,), and their running minimum from the right: the nearest
+    levels above and below that never fall.
+    """
+    return np.maximum.accumulate(levels), np.minimum.accumulate(levels[::-1])[::-1]
