@@ -87,23 +87,6 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
     yield from _heavy_tails(design, tables)
 
 
-#: checks of the contact that hold a number where they fail; those of faces that yield do so from a
-#: warning on wherever they are taken for elastic, with no law of their yield
-RANGE = ("small_contact", "deep_dent", "plastic_range")
-_YIELD = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
-
-
-def range_checks(line: Line, limits: Sequence[Limit]) -> list[Check]:
-    """The checks of the contact's range in the rows of a line at one value of the free number, with
-    the share of each limit's failures that lie in rows beyond it.
-    """
-    yields: Sequence[str] = ()
-    if line.design.study.options.get("contact.law", "hertz") == "hertz":
-        yields = _YIELD
-    breached = _breaches(line, limits, yields)
-    return [check for check in breached if check.name in (*RANGE, *yields)]
-
-
 def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -> Iterator[Check]:
     """The checks that rows breach, with the share of each limit's failures in rows that fail them;
     a warning of `yields` is enough.
@@ -195,6 +178,11 @@ def _heavy_tails(design: Design, tables: Tables) -> Iterator[Check]:
 
 # --- caveats --------------------------------------------------------------------------------------
 
+#: checks of the contact that hold a number where they fail; those of faces that yield do so from a
+#: warning on wherever they are taken for elastic, with no law of their yield
+_RANGE = ("small_contact", "deep_dent", "plastic_range")
+_YIELD = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
+
 
 def caveats_of(
     settled: Settled, yielding: YieldingRows | None, checks: Sequence[Check]
@@ -205,7 +193,18 @@ def caveats_of(
     if governing.code == "assumed strength":
         yield Caveat(code="assumed strength", subject=design.subject(governing.limit))
     yield from _model_range(settled, yielding, checks)
-    yield from _sizes(settled)
+    # a sphere that is more than half larger, or a third smaller, than all tested ones
+    diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
+    for limit in settled.aim.limits:
+        tested = limit.tested
+        if tested is not None and tested.beyond(diameter) > FARTHEST_SIZE:
+            sizes = tested.diameters or (tested.diameter,)
+            yield Caveat(
+                code="size",
+                subject=design.subject(limit),
+                value=diameter,
+                bound=min(sizes, key=lambda size: abs(size - diameter)),
+            )
     ours = tuple(f"limits.{limit.name}." for limit in settled.aim.limits)
     for code, path, text in design.study.caveats:
         if code != "rate" or path.startswith(ours):
@@ -238,30 +237,18 @@ def _model_range(
         under = replace(line, samples={nearest: line.few.samples[nearest]})
         if yielding is not None:
             under = yielding.along(under) or under
-        for check in range_checks(under, limits):
+        yields: Sequence[str] = ()
+        if under.design.study.options.get("contact.law", "hertz") == "hertz":
+            yields = _YIELD
+        for check in _breaches(under, limits, yields):
             share = max(check.failures.values(), default=0.0)
-            if share > study.analysis.accuracy.probability:
+            of_contact = check.name in (*_RANGE, *yields)
+            if of_contact and share > study.analysis.accuracy.probability:
                 at_number[check.name] = (share, f"at the number to use, {check.text}")
         for name, (share, text) in failing.items():
             if name in at_number:
                 failing[name] = share, f"at the plan and at the number to use, {text}"
-            elif name in RANGE:
+            elif name in _RANGE:
                 failing[name] = share, f"at the plan, not at the number to use, {text}"
     for name, (share, text) in (at_number | failing).items():
         yield Caveat(code="model range", subject=name, value=share, text=text)
-
-
-def _sizes(settled: Settled) -> Iterator[Caveat]:
-    """A sphere that is more than half larger, or a third smaller, than all tested ones."""
-    design = settled.aim.design
-    diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
-    for limit in settled.aim.limits:
-        tested = limit.tested
-        if tested is not None and tested.beyond(diameter) > FARTHEST_SIZE:
-            sizes = tested.diameters or (tested.diameter,)
-            yield Caveat(
-                code="size",
-                subject=design.subject(limit),
-                value=diameter,
-                bound=min(sizes, key=lambda size: abs(size - diameter)),
-            )

@@ -101,8 +101,9 @@ class Settled(Curves):
         if at is None:
             at = self.ends[0]
         candidates = {doubt.limit.name: doubt}
+        same_tests = next(group for group in self.aim.groups if doubt.limit in group)
         for other in (*self.doubts, *map(self.computed, self.aim.untargeted)):
-            if self.adds_up(other.limit) and not self.aim.same_tests(other.limit, doubt.limit):
+            if self.adds_up(other.limit) and other.limit not in same_tests:
                 candidates.setdefault(other.limit.name, other)
         candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))

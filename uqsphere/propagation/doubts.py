@@ -83,10 +83,6 @@ class Aim:
             sorted(group, key=lambda limit: limit.fracture is False) for group in groups.values()
         ]
 
-    def same_tests(self, first: Limit, second: Limit) -> bool:
-        """Whether two limits carry over the same tests."""
-        return any(first in group and second in group for group in self.groups)
-
     def without(self, name: str) -> Aim:
         """The aim without a limit or a failure mode."""
         return replace(
@@ -176,7 +172,11 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, list[Law]]:
     assert isinstance(law, Law)
     laws = {law.family.name: law}
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
-        laws |= _other_fits(law)
+        series = series_behind(law)
+        for name, kind in STRENGTHS.items():
+            if name != law.family.name and probability_of(series, kind) >= REFUTED:
+                with suppress(LawError):
+                    laws[name] = fitted_law(law.data, name, censored=law.censored)
     allowed = {}
     tests = tests_behind(limit) or (0.0,)
     task = f"{count_tests(law)} tests from {tests[0]!r} to {tests[-1]!r}"
@@ -185,17 +185,6 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, list[Law]]:
         with suppress(LawError):
             allowed[name] = [*possible_laws(fitted, LAWS, generator, limit.allowable)]
     return allowed
-
-
-def _other_fits(law: Law) -> dict[str, Law]:
-    """Other distributions fitted to the tests behind a law, those that the tests do not refute."""
-    tests = series_behind(law)
-    fits = dict[str, Law]()
-    for name, kind in STRENGTHS.items():
-        if name != law.family.name and probability_of(tests, kind) >= REFUTED:
-            with suppress(LawError):
-                fits[name] = fitted_law(law.data, name, censored=law.censored)
-    return fits
 
 
 def other_distributions(law: Law) -> dict[str, list[Law]]:

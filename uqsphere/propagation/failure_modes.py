@@ -105,8 +105,8 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
     if material is None:
         return "the study names no material of the library; add a limit with your own strength"
     strength = material.properties.get(mode.strength)
-    title = material.title[:1].lower() + material.title[1:]
     if strength is None:
+        title = f"{material.title[:1].lower()}{material.title[1:]}"
         return f"neither the study nor the library has one for {title}"
     if mode.size_law == "volume" and not (
         "volume" in strength.further and "weibull_modulus" in material.properties
@@ -114,21 +114,17 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
         return "the library's strength is of no known volume"
     if strength.range is None and material.rock:
         return "the library gives no range for it"
-    onset = _onset(study, material)
+    # the sphere begins to yield at a pressure of the study or the library
+    entry = material.properties.get("onset_pressure")
+    usual = entry.value if entry else 0.0
+    onset = study.at_means().get("sphere.onset_pressure", usual)
     if mode.place == "contact" and strength.value < onset:
-        contact, usual = (format_value(value, "p_max") for value in (strength.value, onset))
+        contact, least = (format_value(value, "p_max") for value in (strength.value, onset))
         return (
-            f"the library's contact strength {contact} is below the onset of yield {usual} of the "
+            f"the library's contact strength {contact} is below the onset of yield {least} of the "
             "sphere"
         )
     return ""
-
-
-def _onset(study: Study, material: Material) -> float:
-    """Pressure at which the sphere begins to yield, from the study or the library; 0 if unknown."""
-    entry = material.properties.get("onset_pressure")
-    usual = entry.value if entry else 0.0
-    return study.at_means().get("sphere.onset_pressure", usual)
 
 
 def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode:
@@ -216,36 +212,32 @@ def judged_by_tests(
     results = []
     modes_left = []
     for mode in modes:
-        evidence = _evidence(study, [*series.values()], mode)
-        results.append(evidence)
-        if evidence.refuted:
-            continue
-        weak = scaled_strength(mode.weak, evidence.raised)
-        middle = max(mode.middle, weak, key=median)
-        modes_left.append(replace(mode, weak=weak, limit=replace(mode.limit, strength=middle)))
+        demands = demands_in_tests(study, [*series.values()], mode)
+        weak, middle, strong = standing(
+            np.array([law.cdf(demands) for law in (mode.weak, mode.middle, mode.strong)])
+        ).tolist()
+        refuted = strong < REFUTED
+        raised = 1.0
+        if weak < REFUTED and not refuted:
+            # the strong end of a range may be of another scatter than its weak end
+            (factor,) = least_factor(mode.weak, demands[None, :])
+            raised = min(factor, median(mode.strong) / median(mode.weak))
+        results.append(
+            EvidenceEntry(
+                mode=mode.called,
+                tests=len(demands),
+                weak=weak,
+                middle=middle,
+                strong=strong,
+                refuted=refuted,
+                raised=raised,
+            )
+        )
+        if not refuted:
+            least = scaled_strength(mode.weak, raised)
+            limit = replace(mode.limit, strength=max(mode.middle, least, key=median))
+            modes_left.append(replace(mode, weak=least, limit=limit))
     return results, modes_left
-
-
-def _evidence(study: Study, series: Sequence[Tested], mode: AssumedMode) -> EvidenceEntry:
-    demands = demands_in_tests(study, series, mode)
-    weak, centre, strong = standing(
-        np.array([law.cdf(demands) for law in (mode.weak, mode.middle, mode.strong)])
-    ).tolist()
-    refuted = strong < REFUTED
-    raised = 1.0
-    if weak < REFUTED and not refuted:
-        # the strong end of a range may be of another scatter than its weak end
-        (factor,) = least_factor(mode.weak, demands[None, :])
-        raised = min(factor, median(mode.strong) / median(mode.weak))
-    return EvidenceEntry(
-        mode=mode.called,
-        tests=len(demands),
-        weak=weak,
-        middle=centre,
-        strong=strong,
-        refuted=refuted,
-        raised=raised,
-    )
 
 
 def demands_in_tests(study: Study, series: Sequence[Tested], mode: AssumedMode) -> Array:

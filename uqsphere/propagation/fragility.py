@@ -34,7 +34,9 @@ def fragility(design: Design, tables: Tables) -> Rows:
     margins = design.study.margins
     if margins is None or (margins.limit is None and not tables.line):
         return
-    runs = tables.line_runs
+    # those of the sample where the line moves no row
+    along = sum(sample.size for sample in tables.line.values())
+    runs = tables.predicted_from or along or tables.runs
     planned = planned_value(design)
     for limit in design.judged.limits:
         subject = design.subject(limit)
@@ -100,12 +102,10 @@ def curve_of(
 
 def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> Array:
     """Mean probabilities (K, R) of exceedance of a limit at each value of a line."""
-    margins = design.study.margins
-    assert margins is not None
     means = []
     for value, sample in line.items():
         state = state_of(design, limit, sample)
-        demands = state.demands * demand_factor(margins, limit, value)
+        demands = state.demands * demand_factor(design.study.margins, limit, value)
         exceeded = failure_given_inputs(replace(state, demands=demands), "survive")
         means.append(exceeded.mean(axis=1))
     return np.array(means)

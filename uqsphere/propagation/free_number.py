@@ -63,10 +63,10 @@ def moved(study: Study, value: float) -> Study:
     return replace(study, random={**study.random, path: law})
 
 
-def demand_factor(margins: Margins, limit: Limit, value: float) -> float:
+def demand_factor(margins: Margins | None, limit: Limit, value: float) -> float:
     """What the demands of a limit are multiplied by where the number has a value, in place of its
-    free strength.
+    free strength; nan is the plan.
     """
-    if margins.limit != limit.name:
+    if margins is None or margins.limit != limit.name or math.isnan(value):
         return 1.0
     return number(limit.strength) / value

@@ -30,8 +30,7 @@ from uqsphere.uq import (
     from_replicates,
     score_of,
 )
-from uqsphere.uq.estimate import count_bound
-from uqsphere.uq.estimate import share as share_of
+from uqsphere.uq.estimate import count_bound, share
 from uqsphere.uq.limit_state import (
     draw_breaking,
     make_union,
@@ -235,8 +234,8 @@ def fracture(design: Design, tables: Tables) -> Rows:
     )
     first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
-        share = share_of(first == k, METHOD, weights=drawn.weights)
-        yield estimate_row("fracture", "mode_share", limit.name, share, runs=first.size)
+        by_mode = share(first == k, METHOD, weights=drawn.weights)
+        yield estimate_row("fracture", "mode_share", limit.name, by_mode, runs=first.size)
     for name in ("time", "force", "energy"):
         values = getattr(fractures, name)
         filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)

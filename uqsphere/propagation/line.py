@@ -98,8 +98,6 @@ class Line:
         """Demands of a limit at all rows against its strength."""
         state = state_of(self.design, limit, self.rows)
         margins = self.design.study.margins
-        if margins is None or margins.limit != limit.name or math.isnan(self.values[0]):
-            return state
         factors = [demand_factor(margins, limit, value) for value in self.values]
         return replace(state, demands=state.demands * np.repeat(factors, self._counts))
 
@@ -121,7 +119,7 @@ class Line:
         if lost.any():
             kept = np.maximum(np.add.reduceat((~lost).astype(float), self._starts, axis=1), 1.0)
             rows = np.where(lost, 0.0, rows)
-        return np.asarray((np.add.reduceat(rows, self._starts, axis=1) / kept).T)
+        return (np.add.reduceat(rows, self._starts, axis=1) / kept).T
 
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""

@@ -267,7 +267,7 @@ def _refuted(kind: LocationScale, logs: Array, leaving: Array) -> Flags:
     """Whether each of some series of tests (J, r) refutes a distribution that is fitted to it."""
     usual = kind.series(leaving, 1000, np.random.default_rng(leaving.size + 1))
     most = np.quantile(kind.misfit(usual, leaving), 1.0 - REFUTED)
-    return np.asarray(kind.misfit(logs, leaving) > most)
+    return kind.misfit(logs, leaving) > most
 
 
 def _places(settled: Settled, scores: Array, allowed: Array) -> Array:

@@ -25,9 +25,8 @@ from uqsphere.propagation.tables import Searched, Tables, evaluate
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Estimate, Law, LimitState, Sample
+from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of, tails
 from uqsphere.uq.forms import CERTAIN
-from uqsphere.uq.limit_state import score_of, tails
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
 #: a probability below this is searched for where sampling does not reach it

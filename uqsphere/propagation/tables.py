@@ -92,12 +92,6 @@ class Tables:
         return self.rows.size
 
     @property
-    def line_runs(self) -> int:
-        """Model runs that the line rests on: those of the sample where it moves no row."""
-        along = sum(sample.size for sample in self.line.values())
-        return self.predicted_from or along or self.runs
-
-    @property
     def inaccurate(self) -> list[Accuracy]:
         """The answers that are less accurate than required."""
         return [error for error in self.errors if error.reached > error.required]

@@ -194,6 +194,10 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         alone = judged.settling.once(replace(aim, modes=()), settled.line)
     library = _library(judged, alone)
     target = all_modes = None
+    curve = []
+    if judged.line is not None:
+        points = zip(settled.line.values, aim.failure(settled.middle(lead)), strict=True)
+        curve = [types.CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
         target = settled.setting.limit.target
         if governing.code == "assumed strength":
@@ -214,7 +218,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         own=alone.number,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
-        curve=_curve(settled, settled.middle(lead)),
+        curve=curve,
         band=_band(settled),
         doubts=_certificate(judged),
         caveats=caveats,
@@ -257,14 +261,6 @@ def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None
         safety_factor=factor,
         best=types.Range(value=best, low=min(ends), high=max(ends)),
     )
-
-
-def _curve(settled: Settled, curve: Array) -> list[types.CurvePoint]:
-    """The failure probability along the line, from a curve of exceedance."""
-    if len(settled.line.values) < 2:
-        return []
-    points = zip(settled.line.values, settled.aim.failure(curve).tolist(), strict=True)
-    return [types.CurvePoint(at=at, value=p) for at, p in points]
 
 
 def _band(settled: Settled) -> list[types.CurvePoint]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
@@ -284,19 +284,15 @@ def _test_points(tables: Tables, limit: Limit) -> list[list[float]] | None:
     order = np.lexsort((stopped, strengths))
     stopped = stopped[order]
     along = np.interp(np.log(strengths[order]), np.log(demands), [*tables.line], np.nan, np.nan)
-    points = np.array([along, _kaplan_meier(stopped), stopped])
+    # the estimate of Kaplan and Meier
+    left = len(stopped) - np.arange(len(stopped))
+    survival = np.cumprod(np.where(stopped, 1.0, 1.0 - 1.0 / left))
+    shares = 1.0 - 0.5 * (np.append(1.0, survival[:-1]) + survival)
+    points = np.array([along, shares, stopped])
     shown: list[list[float]] = points[:, np.isfinite(along)].tolist()
     if not shown[0]:
         return None
     return shown
-
-
-def _kaplan_meier(stopped: Flags) -> Values:
-    """Share broken at each of some tests in rising order, in the middle of its step."""
-    left = len(stopped) - np.arange(len(stopped))
-    survival = np.cumprod(np.where(stopped, 1.0, 1.0 - 1.0 / left))
-    before = np.concatenate([[1.0], survival[:-1]])
-    return 1.0 - 0.5 * (before + survival)
 
 
 def _strength(limit: Limit) -> Strength:
