@@ -30,7 +30,7 @@ from uqsphere.propagation.quantities import distributions, indices, salib_indice
 from uqsphere.propagation.rare import design_points
 from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.verdict import assumed_answers, decision_of, judge
-from uqsphere.propagation.write import Cost, results_of, samples_of, written
+from uqsphere.propagation.write import Cost, results_of, samples_of, write_run
 from uqsphere.results import Run
 from uqsphere.results.answers import number_row
 from uqsphere.results.folder import Log, clear, locked, read_results
@@ -173,8 +173,16 @@ def run(
         )
         results = results_of(design, tables, answers, decisions, checked, cost)
         log.write(f"ended: {tables.stopped} after {cost.seconds:.1f} s")
-        pairs_of = partial(_pairs, design, tables)
-        return written(out, study, results, samples_of(design, tables), pairs_of)
+        samples = samples_of(design, tables)
+        if out is not None:
+            write_run(out, study, results, samples)
+        return Run(
+            results=results,
+            folder=out,
+            columns=samples,
+            study=study,
+            pairs_of=partial(_pairs, design, tables),
+        )
 
 
 def _pairs(design: Design, tables: Tables, quantity: str) -> Any:

@@ -5,6 +5,7 @@ The same points serve every value, so that the curve is smooth; each replicate h
 and their spread is the interval.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -50,14 +51,11 @@ def fragility(design: Design, tables: Tables) -> Rows:
         if allowed is None or not allowed.value or not planned or not limit.has_target:
             continue
         # the free number over its planned value, or the inverse for a limit that must break
-        factors: list[float | None] = []
-        for value in (allowed.value, allowed.low, allowed.high):
-            factor = None
-            if value is not None and value > 0.0:
-                factor = value / planned if limit.aim == "survive" else planned / value
-            factors.append(factor)
-        if limit.aim != "survive":
-            factors[1], factors[2] = factors[2], factors[1]
+        values = np.array([allowed.value, allowed.low, allowed.high], dtype=float)
+        values[~(values > 0.0)] = math.nan
+        factors = values / planned
+        if limit.aim == "break":
+            factors = planned / values[[0, 2, 1]]
         yield number_row(
             subject, "safety_factor", margins.solve, *factors, method=METHOD, runs=runs
         )

@@ -68,7 +68,11 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     For each n the number to use in 10 %, 50 % and 90 % of the series; none without tests of a
     Weibull or lognormal strength, or without a number.
     """
-    limits = [limit for limit in settled.aim.limits if _has_tests(limit)]
+    limits = []
+    for limit in settled.aim.limits:
+        law = strength_of(limit)
+        if isinstance(law, Law) and is_fitted(law) and law.family.name in STRENGTHS and law.data:
+            limits.append(limit)
     if not limits or settled.use is None:
         return []
     line = settled.line
@@ -92,13 +96,6 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
             low, middle, high = sorted(line.value_at(end) for end in ends)
             gains.append(TestsGain(tests=n, low=low, median=middle, high=high))
     return gains
-
-
-def _has_tests(limit: Limit) -> bool:
-    law = strength_of(limit)
-    if not isinstance(law, Law) or not is_fitted(law):
-        return False
-    return law.family.name in STRENGTHS and law.data != ()
 
 
 class _Promise:

@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import math
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,7 +26,6 @@ from uqsphere.propagation.quantities import density, described
 from uqsphere.propagation.sampled import source_of
 from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
-from uqsphere.results import Run
 from uqsphere.results.answers import answers_csv, csv_text
 from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
@@ -416,17 +415,10 @@ def cells_of(column: Array | Flags) -> list[Any]:
     return [None if math.isnan(number) else number for number in column.tolist()]
 
 
-def written(
-    folder: Path | None,
-    study: Study,
-    results: Results,
-    samples: dict[str, Array | Flags],
-    pairs_of: Callable[[str], Any],
-) -> Run:
-    """The run, kept in its folder with its page where it has one."""
-    run = Run(results=results, folder=folder, columns=samples, study=study, pairs_of=pairs_of)
-    if folder is None:
-        return run
+def write_run(
+    folder: Path, study: Study, results: Results, samples: dict[str, Array | Flags]
+) -> None:
+    """Keep a run in its folder, with its page."""
     files: dict[str, str | bytes] = {
         "study.toml": study.text,
         **{f"files/{name}": path.read_bytes() for name, path in study.files if path.is_file()},
@@ -442,4 +434,3 @@ def written(
         write_files(folder, files)  # a fault of a figure costs no results
         raise
     write_files(folder, files)
-    return run
