@@ -33,7 +33,7 @@ from uqsphere.propagation.verdict import assumed_answers, decision_of, judge
 from uqsphere.propagation.write import Cost, results_of, samples_of, write_run
 from uqsphere.results import Run
 from uqsphere.results.answers import number_row
-from uqsphere.results.folder import Log, clear, locked, read_results
+from uqsphere.results.folder import clear, locked, read_results, write_log
 from uqsphere.results.run import stored_study
 from uqsphere.results.types import Answer
 from uqsphere.study import Study
@@ -96,7 +96,7 @@ def run(
     check_scene(study)
     from threadpoolctl import threadpool_limits
 
-    cache = log_file = None
+    cache = None
     if seconds is None:
         seconds = study.analysis.budget.time
     with contextlib.ExitStack() as stack:
@@ -106,12 +106,10 @@ def run(
             out = Path(out).absolute()
             stack.enter_context(locked(out))
             check_owner(out, study, fresh=fresh)
-            log_file = out / "log.txt"
             if study.black_box:
                 cache = out / "cache.sqlite"
         started = time.monotonic()
-        log = Log(log_file)
-        log.write(f"run of {study.title!r}, study {study.hash}")
+        write_log(out, f"run of {study.title!r}, study {study.hash}")
         design = Design.of(study)
         points = None
         if rows is not None:
@@ -172,7 +170,7 @@ def run(
             seconds=time.monotonic() - started,
         )
         results = results_of(design, tables, answers, decisions, checked, cost)
-        log.write(f"ended: {tables.stopped} after {cost.seconds:.1f} s")
+        write_log(out, f"ended: {tables.stopped} after {cost.seconds:.1f} s")
         samples = samples_of(design, tables)
         if out is not None:
             write_run(out, study, results, samples)

@@ -203,19 +203,15 @@ def damaged_files(folder: Path) -> list[str]:
     return wrong
 
 
-class Log:
-    """Lines of a run's log, each with its time (UTC); none where a link or no plain file stands in
-    its place.
+def write_log(folder: Path | None, text: str) -> None:
+    """Add a line to the log of a run with the time (UTC); nothing without a folder, or where a link
+    or no plain file stands in its place.  A log that cannot be written stops nothing.
     """
-
-    def __init__(self, path: Path | None) -> None:
-        plain = path is not None and not path.is_symlink() and (path.is_file() or not path.exists())
-        self.path = path if plain else None
-
-    def write(self, text: str) -> None:
-        """One line; a log that cannot be written stops nothing."""
-        if self.path is None:
-            return
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-        with contextlib.suppress(OSError), self.path.open("a", encoding="utf-8") as stream:
-            stream.write(f"{now} {' '.join(text.split())}\n")
+    if folder is None:
+        return
+    path = folder / "log.txt"
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        return
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+    with contextlib.suppress(OSError), path.open("a", encoding="utf-8") as stream:
+        stream.write(f"{now} {' '.join(text.split())}\n")
