@@ -9,7 +9,7 @@ and leaving them out is conservative.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -213,25 +213,6 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
 # --- curves ---------------------------------------------------------------------------------------
 
 
-def others_survive(aim: Aim, line: Line) -> dict[str, Array]:
-    """Probability (R, N) that no other failure mode is exceeded, by the name of a limit; none for
-    limits that are no fracture.
-    """
-    if not aim.survive:
-        return {}
-    stands = []
-    for group in (*aim.groups, *([mode.limit] for mode in aim.modes)):
-        counted = [limit for limit in group if means_fracture(limit)]
-        if counted:
-            stands.append((group, 1.0 - line.exceedance(line.state(counted[0]), aim.word)))
-    held = dict[str, Array]()
-    for group, stand in stands:
-        others = [rows for _, rows in stands if rows is not stand]
-        if others:
-            held |= dict.fromkeys([limit.name for limit in group], np.prod(others, axis=0))
-    return held
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curves:
     """The limits of an aim along a line, alone and with the other failure modes.
@@ -244,8 +225,22 @@ class Curves:
     yielding: Line | None = None
 
     @cached_property
-    def _held(self) -> Mapping[str, Array]:
-        return others_survive(self.aim, self.line)
+    def held(self) -> dict[str, Array]:
+        """Probability (R, N) that no other failure mode is exceeded, by the name of a limit; none
+        for limits that are no fracture.
+        """
+        stands = []
+        for group in (*self.aim.groups, *([mode.limit] for mode in self.aim.modes)):
+            counted = [limit for limit in group if self.aim.survive and means_fracture(limit)]
+            if counted:
+                exceeded = self.line.exceedance(self.line.state(counted[0]), self.aim.word)
+                stands.append((group, 1.0 - exceeded))
+        held = dict[str, Array]()
+        for group, stand in stands:
+            others = [rows for _, rows in stands if rows is not stand]
+            if others:
+                held |= dict.fromkeys([limit.name for limit in group], np.prod(others, axis=0))
+        return held
 
     @cached_property
     def few(self) -> Curves:
@@ -258,7 +253,7 @@ class Curves:
 
     def adds_up(self, limit: Limit) -> bool:
         """Whether other failure modes add up with a limit."""
-        return limit.name in self._held
+        return limit.name in self.held
 
     def base(self, limit: Limit) -> Array:
         """The mean exceedance (2, K, R) of a limit by its own strength: alone, and with the other
@@ -304,7 +299,7 @@ class Curves:
         state = self.line.state(limit)
         if not tied:
             state = replace(state, tie=FREE)
-        hold = self._held.get(limit.name)
+        hold = self.held.get(limit.name)
         means = []
         for strength in laws or [state.strength]:
             rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)

@@ -16,7 +16,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.doubts import LAWS, others_survive, tests_behind
+from uqsphere.propagation.doubts import LAWS, Curves, tests_behind
 from uqsphere.propagation.failure_modes import (
     REFUTED,
     AssumedMode,
@@ -222,7 +222,8 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     line = settled.line.few
     word = settled.aim.word
     stands = 1.0 - line.exceedance(line.state(limit), word)
-    others = others_survive(replace(settled.aim, modes=()), line).get(limit.name, np.ones(1))
+    of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
+    others = of_study.held.get(limit.name, np.ones(1))
     held = line.means(others * stands + 1.0 - stands).mean(axis=1)
     tables = []
     for mode in modes:

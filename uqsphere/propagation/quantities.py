@@ -119,8 +119,6 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Rows:
 
 def of_quantity(design: Design, tables: Tables, name: str) -> Indices:
     """(first, total) by input, and (second,) by "input,input"."""
-    if not design.inputs:
-        return {}
     if design.joint_inputs.dependent:
         # variance has no parts of its own for each of inputs that are tied
         reason = "inputs depend on each other: their Sobol' indices have no meaning"

@@ -147,8 +147,8 @@ def _description(design: Design) -> list[str]:
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
         size = f"{2e3 * study.at_means()['sphere.radius']:.3g} mm"
         scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
-        rig = RIGS[study.rig].title
-        first = f"{rock[:1].upper()}{rock[1:]}, {size}, {rig}; random inputs: {scatter}"
+        rock = f"{rock[:1].upper()}{rock[1:]}"
+        first = f"{rock}, {size}, {RIGS[study.rig].title}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
         text = f"{limit.name}: {_strength_text(limit)}"
@@ -205,7 +205,7 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
         range=(low, median, high),
-        method_of_indices=source.index_method(name) if design.inputs else "",
+        method_of_indices=source.index_method(name),
         density=density(values),
         onset=onset_of(design.study) if name == "p_max" else None,
         expansion_error=left,
