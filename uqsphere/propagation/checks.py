@@ -67,13 +67,12 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
     source = source_of(design, tables)
     failed = source.dropped or sample.failed.mean()
     if failed > 0.0:
-        effects = {"drop": "left out", "bound": "intervals widened"}
         yield Check(
             name="failed_rows",
             share=failed,
             grade="warning",
             text=f"{format_probability(failed)} of the model runs failed",
-            effect=effects[design.on_failure],
+            effect={"drop": "left out", "bound": "intervals widened"}[design.on_failure],
         )
     if source.refusal:
         n = tables.runs

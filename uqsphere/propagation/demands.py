@@ -67,7 +67,7 @@ def with_test_forces(
     design: Design,
     sample: Sample,
     moving: Mapping[str, Array],
-    limits: Sequence[Limit] | None = None,
+    limits: Sequence[Limit] = (),
 ) -> Sample:
     """An evaluated sample with a column of equivalent test forces for every limit, or some, that
     need them.

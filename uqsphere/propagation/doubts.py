@@ -190,7 +190,6 @@ def strengths_allowed(design: Design, limit: Limit) -> dict[str, list[Law]]:
 def other_distributions(law: Law) -> dict[str, list[Law]]:
     """The other usual distribution of a strength, with the same mean and standard deviation."""
     from scipy.optimize import brentq
-    from scipy.special import gammaln
 
     if law.family.name not in ("weibull", "lognormal", "normal"):
         return {}
@@ -204,7 +203,9 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
         # 1 + cov² = Gamma(1 + 2/m)/Gamma(1 + 1/m)²
         excess = math.log1p((sd / mean) ** 2)
         modulus = brentq(
-            lambda m: gammaln(1.0 + 2.0 / m) - 2.0 * gammaln(1.0 + 1.0 / m) - excess, 0.1, 1e4
+            lambda m: math.lgamma(1.0 + 2.0 / m) - 2.0 * math.lgamma(1.0 + 1.0 / m) - excess,
+            0.1,
+            1e4,
         )
         return {"weibull": [make_law("weibull", {"mean": mean, "modulus": modulus})]}
     return {}

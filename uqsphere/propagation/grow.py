@@ -202,10 +202,9 @@ def _answered(
     not looked at again.
     """
     names = design.study.analysis.quantities
-    sample = tables.sample
     inaccurate: list[str] = []
     if design.inputs:
-        fits = expansions(design, sample, design.described, tables.expansions)
+        fits = expansions(design, tables.sample, design.described, tables.expansions)
         tables = replace(tables, expansions=fits)
         inaccurate = [name for name in names if not by_chaos_accurate(design, tables, name)]
     margins = dict(tables.margins)
@@ -217,7 +216,7 @@ def _answered(
             margins[name] = margin_and_scale(design, tables, limit)
     tables = rare.search(design, model, replace(tables, margins=margins), rows_left)
     if not tables.stopped:
-        count = sample.count // PAIRS_SHARE
+        count = tables.sample.count // PAIRS_SHARE
         pairs = paired(design, model, count, inaccurate, tables.pairs, rows_left())
         tables = replace(tables, pairs=pairs)
     tables = replace(tables, descriptions={name: described(design, tables, name) for name in names})
@@ -279,8 +278,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
 
 def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
     """The accuracy of every answer that the study has a requirement for."""
-    errors = _accuracies(design, tables)
-    return tuple(error for error in errors if math.isfinite(error.required))
+    return tuple(e for e in _accuracies(design, tables) if math.isfinite(e.required))
 
 
 def _accuracies(design: Design, tables: Tables) -> Iterator[Accuracy]:

@@ -26,6 +26,21 @@ from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import types
 from uqsphere.results.answers import Rows, number_row
+from uqsphere.results.types import (
+    Caveat,
+    CaveatCode,
+    CurvePoint,
+    Decision,
+    DoubtCode,
+    LibraryRange,
+    MarginNote,
+    Range,
+    Remedy,
+    RemedyCode,
+    TestsGain,
+    Use,
+    VerdictWord,
+)
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
@@ -180,7 +195,7 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
 # --- the decision ---------------------------------------------------------------------------------
 
 
-def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
+def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     """The decision of an aim, as the results have it."""
     settled = judged.settled
     aim = judged.aim
@@ -197,7 +212,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     curve = []
     if judged.line is not None:
         points = zip(settled.line.values, aim.failure(settled.middle(lead)), strict=True)
-        curve = [types.CurvePoint(at=at, value=p) for at, p in points]
+        curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
         target = settled.setting.limit.target
         if governing.code == "assumed strength":
@@ -206,7 +221,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
         subject = aim.design.subject(lead)
     if aim.modes:
         all_modes = _range(judged.all_modes[lead.name])
-    return types.Decision(
+    return Decision(
         aim=aim.word,
         limits=[limit.name for limit in aim.limits],
         modes=[mode.called for mode in aim.modes],
@@ -227,13 +242,13 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> types.Decision:
     )
 
 
-def _range(estimate: Estimate) -> types.Range:
-    return types.Range(
+def _range(estimate: Estimate) -> Range:
+    return Range(
         value=estimate.value, low=estimate.low, high=estimate.high, note=estimate.reason or ""
     )
 
 
-def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None:
+def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
     settled = judged.settled
     free = judged.aim.design.study.margins
@@ -253,17 +268,17 @@ def _use(judged: Judged, library: types.LibraryRange | None) -> types.Use | None
     if library is not None:
         margins += [library.weak, library.strong]
     ends = [margin for margin in margins if margin is not None and math.isfinite(margin)]
-    return types.Use(
+    return Use(
         path=free.solve,
         value=number,
         safe_end="smallest" if settled.least else "largest",
         planned=planned,
         safety_factor=factor,
-        best=types.Range(value=best, low=min(ends), high=max(ends)),
+        best=Range(value=best, low=min(ends), high=max(ends)),
     )
 
 
-def _band(settled: Settled) -> list[types.CurvePoint]:
+def _band(settled: Settled) -> list[CurvePoint]:
     """What the tests leave open of the failure probability along the line: of the doubt that
     governs, else of the first one by tests.
     """
@@ -274,11 +289,11 @@ def _band(settled: Settled) -> list[types.CurvePoint]:
             curves = np.array([doubt.curve, doubt.opposite])
             low, high = np.sort(settled.aim.failure(curves), axis=0).tolist()
             points = zip(values, low, high, strict=True)
-            return [types.CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
+            return [CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
     return []
 
 
-def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
+def _library(judged: Judged, alone: Settled) -> LibraryRange | None:
     """What the library's range of a failure mode that governs would make of the number."""
     settled = judged.settled
     aim = judged.aim
@@ -293,7 +308,7 @@ def _library(judged: Judged, alone: Settled) -> types.LibraryRange | None:
         taken = replace(rest, modes=(*rest.modes, other))
         numbers.append(judged.settling.once(taken, settled.line).number)
     weak, strong = numbers
-    return types.LibraryRange(
+    return LibraryRange(
         mode=mode.called, middle=settled.number, weak=weak, strong=strong, own=alone.number
     )
 
@@ -318,7 +333,7 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
     settled = judged.settled
     aim = judged.aim
     limit = doubt.limit
-    note: types.MarginNote = ""
+    note: MarginNote = ""
     if judged.line is not None and doubt.margin is None:
         note = "nowhere"
     elif doubt.margin == math.inf:
@@ -343,8 +358,8 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
         target=limit.target,
         margin=doubt.margin,
         margin_note=note,
-        at_number=types.Range(value=at_number),
-        at_plan=types.Range(value=at_plan),
+        at_number=Range(value=at_number),
+        at_plan=Range(value=at_plan),
         governs=doubt.key == settled.governing.key,
         joint=code != "assumed strength" and settled.adds_up(limit),
         tests=number_of_tests(strength_of(limit)),
@@ -354,7 +369,7 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
 # --- verdict and remedy ---------------------------------------------------------------------------
 
 
-def _verdict(judged: Judged, caveats: Sequence[types.Caveat]) -> types.VerdictWord:
+def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
     """The verdict at the plan: not established with a caveat, else met where every doubt keeps its
     target, not met where none does and a limit misses its own, and undecided between.
     """
@@ -390,7 +405,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
 
 
 #: the remedy of each doubt
-_REMEDIES: dict[types.DoubtCode, types.RemedyCode] = {
+_REMEDIES: dict[DoubtCode, RemedyCode] = {
     "assumed strength": "measure the strength",
     "tests": "test more",
     "distribution": "test the lower tail",
@@ -398,7 +413,7 @@ _REMEDIES: dict[types.DoubtCode, types.RemedyCode] = {
     "tie": "check the input",
 }
 #: the remedy of each caveat, the most urgent first
-_CURES: dict[types.CaveatCode, types.RemedyCode] = {
+_CURES: dict[CaveatCode, RemedyCode] = {
     "unit": "check the input",
     "plausibility": "check the input",
     "model range": "leave the model's range",
@@ -407,9 +422,7 @@ _CURES: dict[types.CaveatCode, types.RemedyCode] = {
 }
 
 
-def _remedy(
-    judged: Judged, verdict: types.VerdictWord, caveats: Sequence[types.Caveat]
-) -> types.Remedy:
+def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> Remedy:
     """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
     settled = judged.settled
     line = judged.line
@@ -418,30 +431,30 @@ def _remedy(
     design = judged.aim.design
     subject = design.subject(governing.limit)
     if verdict == "no target":
-        return types.Remedy(code="set a target", subject=design.subject(judged.lead))
+        return Remedy(code="set a target", subject=design.subject(judged.lead))
     for code, cure in _CURES.items():
         for caveat in caveats:
             if caveat.code == code:
-                return types.Remedy(code=cure, subject=caveat.subject)
+                return Remedy(code=cure, subject=caveat.subject)
     at_best = None
     if line is not None and governing.code != "assumed strength" and line.use is None:
         if line.number is None and len(judged.aim.limits) > 1:
             at_best = best(line)
-        return types.Remedy(code="widen the range", subject="margins.between", at_best=at_best)
+        return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":
-        return types.Remedy(code="nothing")
+        return Remedy(code="nothing")
     remedy = _REMEDIES.get(governing.code)
     if remedy is None and verdict == "undecided":
         remedy = "tighten the accuracy"
     if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):
         remedy = "replace the synthetic tests"
-    gains: list[types.TestsGain] = []
+    gains: list[TestsGain] = []
     if remedy is not None and line is not None:
         at_best = best(line)
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
-    return types.Remedy(code=remedy, subject=subject, at_best=at_best, gains=gains)
+    return Remedy(code=remedy, subject=subject, at_best=at_best, gains=gains)
 
 
 # --- rows of answers ------------------------------------------------------------------------------
