@@ -12,7 +12,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Flags
 from uqsphere.propagation import chaos
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.slow import Slow, described_rows
@@ -132,10 +132,10 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
     indices = dict[str, tuple[Estimate, ...]]()
     for k, name in enumerate(design.inputs):
         least, most = expansion.explained[:, :, k]
-        part = expansion.projection(active[:, k] & (many == 1), integrals.first[k])
-        first = _index(expansion, part, least, most)
-        part = expansion.projection(active[:, k], integrals.total[k])
-        total = _index(expansion, part, np.clip(least, 0.0, everything), everything)
+        alone = active[:, k] & (many == 1)
+        first = _index(expansion, alone, integrals.first[k], least, most)
+        least = np.clip(least, 0.0, everything)
+        total = _index(expansion, active[:, k], integrals.total[k], least, everything)
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
@@ -147,19 +147,19 @@ def by_chaos(design: Design, expansion: chaos.Expansion) -> dict[str, tuple[Esti
         share = 0.0
         if integrals.sd > 0.0:
             share = (form.coefficients[which] ** 2).sum() / integrals.sd**2
-        part = expansion.projection(which, share)
-        second = _index(expansion, part, np.zeros_like(everything), everything)
+        second = _index(expansion, which, share, np.zeros_like(everything), everything)
         indices[f"{one},{other}"] = (second,)
     return indices
 
 
 def _index(
-    expansion: chaos.Expansion, part: tuple[Array, Array], least: Array, most: Array
+    expansion: chaos.Expansion, which: Flags, share: float, least: Array, most: Array
 ) -> Estimate:
-    """One index: the part of the expansion (numerators and variances, (R-1,) each), and what its
-    residuals have of the index, `least` to `most` (R-1,).  The value is the middle of both.
+    """One index: that of some terms (T,) of the expansion with their share of its variance, and
+    what its residuals have of the index, `least` to `most` (R-1,).  The value is the middle of
+    both.
     """
-    numerators, variances = part
+    numerators, variances = expansion.projection(which, share)
     ends = []
     for rest in (least, most):
         ratio, off = ratio_of_means(numerators + rest, variances)
@@ -196,14 +196,13 @@ def _by_pairs(design: Design, values: Array) -> dict[str, tuple[Estimate, ...]]:
         return dict.fromkeys(names, (nothing, nothing))
     kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
     sampled = sampled_indices(np.stack(kept), design.blocks)
-    first = sampled.first
-    total = sampled.total
+    text = ""
     if not whole.all():
         text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
-        first, total = (
-            [replace(index, method=index.method + text) for index in order]
-            for order in (first, total)
-        )
+    first, total = (
+        [replace(index, method=index.method + text) for index in order]
+        for order in (sampled.first, sampled.total)
+    )
     indices = dict[str, tuple[Estimate, ...]](
         zip(names, zip(first, total, strict=True), strict=True)
     )
