@@ -76,7 +76,8 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes = []
-    for (subject, answer, at), rows in sorted(answers.items()):
+    for place, rows in sorted(answers.items()):
+        subject, answer, _ = place
         ends = ends_of(rows.get(number) or Range() for number in range(len(runs)))
         values, low, high = ends
         half_widths = 0.5 * np.nan_to_num(high - low)
@@ -91,9 +92,7 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
         most = int(abs(relative).argmax())
         significant = abs(difference[most]) > math.hypot(half_widths[0], half_widths[most])
         unit = next(iter(rows.values())).unit
-        changes.append(
-            _Change(subject, answer, at, unit, ends, relative[most], most, bool(significant))
-        )
+        changes.append(_Change(*place, unit, ends, relative[most], most, bool(significant)))
     return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 

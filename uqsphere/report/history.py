@@ -55,7 +55,7 @@ class Course(History):
         """What a person asks of the scene, and its figures."""
         rows = history_rows(self.study, self)
         table = PageTable("One impact, every number at its mean", ("", "value"), rows)
-        pictures = _pictures(self.study, self)
+        pictures = dict(_pictures(self.study, self))
         return render("notebook.html", title=self.study.title, tables=[table], pictures=pictures)
 
 
@@ -171,16 +171,15 @@ def write_history(study: Study, course: History, folder: Path) -> list[str]:
             for record in course.gauges
         ]
         files["gauges.csv"] = pd.concat(parts).to_csv(index=False)
-    for name, picture in _pictures(study, course).items():
+    for name, picture in _pictures(study, course):
         files[f"figures/{name}.svg"] = picture.svg
     write_files(folder, files)
     return list(files)
 
 
-def _pictures(study: Study, course: History) -> dict[str, Picture]:
-    """The figures of a scene by name."""
+def _pictures(study: Study, course: History) -> Iterator[tuple[str, Picture]]:
+    """The figures of a scene, and their names."""
     time = 1e6 * course.time
-    pictures = {}
     for name, label, lines in (
         (
             "forces",
@@ -205,16 +204,13 @@ def _pictures(study: Study, course: History) -> dict[str, Picture]:
             draw = partial(_draw_lines, lines=lines, label=label, end=1e6 * course.record_end)
             largest = max(abs(y).max() for _, _, y in lines)
             text = f"{label} over time: {largest:.4g} at most"
-            pictures[name] = Picture(capital(label), text, svg(draw))
+            yield name, Picture(capital(label), text, svg(draw))
     if RIGS[study.rig].by_wave:
         view = view_field(course, places=150, times=150)
         largest = 1e-6 * float(np.abs(view.stress).max())
-        pictures["xt"] = Picture(
-            "Stress in the bars",
-            f"Stress over place and time: {largest:.4g} MPa at most",
-            svg(partial(_draw_xt, view=view, largest=largest or 1.0)),
-        )
-    return pictures
+        text = f"Stress over place and time: {largest:.4g} MPa at most"
+        drawn = svg(partial(_draw_xt, view=view, largest=largest or 1.0))
+        yield "xt", Picture("Stress in the bars", text, drawn)
 
 
 def _draw_lines(

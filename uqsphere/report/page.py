@@ -107,9 +107,7 @@ def _linked(text: str) -> Markup:
 
 def _inline(picture: Picture, name: str, screen: str = "") -> Markup:
     """An SVG with alternative text, and ids of its own: several stand in one page."""
-    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', picture.svg)
-    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
-    text = re.sub(r'(xlink:)?href="#([^"]+)"', rf'\1href="#{name}-\2"', text)
+    text = re.sub(r'(\bid="|url\(#|href="#)', rf"\1{name}-", picture.svg)
     head = f'<svg role="img" aria-label="{escape(picture.text)}" '
     if screen:
         head = head.replace("<svg", f'<svg class="{screen}"', 1)

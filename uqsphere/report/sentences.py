@@ -6,7 +6,6 @@ Results hold values and codes; words are made of them here, for page, terminal, 
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
@@ -56,25 +55,24 @@ METHODS = {
 NO_LIMIT = "No limit state is defined; the run reports distributions and sensitivities only."
 
 
-@dataclass(frozen=True)
 class DecisionText:
     """What a report says of one decision of a run."""
 
-    results: Results
-    decision: Decision
+    def __init__(self, results: Results, decision: Decision) -> None:
+        self.results, self.decision = results, decision
+        self.aim = f"To {decision.aim}"
+        self._free = results.study.free
+        self._least = is_least(decision)
+        #: the doubt that sets the number to use
+        self._governing = [doubt for doubt in decision.doubts if doubt.governs]
 
-    def lines(self) -> list[str]:
+    def lines(self) -> Iterator[str]:
         """The text of a terminal: one paragraph a line."""
-        verdict = self.decision.verdict
-        lines = [f"{self.aim}: {verdict}. {self.use}. {self.sentence}", self.broken]
+        yield f"{self.aim}: {self.decision.verdict}. {self.use}. {self.sentence}"
+        yield self.broken
         if self.open:
-            lines.append(f"Open: {'; '.join(self.open)}.")
-        return [*lines, f"Next: {self.next}"]
-
-    @property
-    def aim(self) -> str:
-        """To survive, or to break."""
-        return f"To {self.decision.aim}"
+            yield f"Open: {'; '.join(self.open)}."
+        yield f"Next: {self.next}"
 
     @property
     def use(self) -> str:
@@ -213,23 +211,14 @@ class DecisionText:
 
     # --- parts of these sentences -----------------------------------------------------------------
 
-    @property
-    def _free(self) -> FreeNumber | None:
-        return self.results.study.free
-
-    @property
-    def _governing(self) -> list[Doubt]:
-        """The doubt that sets the number to use."""
-        return [doubt for doubt in self.decision.doubts if doubt.governs]
-
     def number(self, x: float | None) -> str:
         """A value of the free number, rounded to its conservative side."""
         if x is None or self._free is None:
             return "none"
-        return format_conservative(x, self._free.path, least=is_least(self.decision))
+        return format_conservative(x, self._free.path, least=self._least)
 
     def _allowed(self, x: float) -> str:
-        return f"at {'least' if is_least(self.decision) else 'most'} {self.number(x)}"
+        return f"at {'least' if self._least else 'most'} {self.number(x)}"
 
     @property
     def _kept_everywhere(self) -> bool:
@@ -251,11 +240,9 @@ class DecisionText:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.path)}"
         if use is not None and use.value > 0.0 and planned > 0.0:
-            least = is_least(self.decision)
-            rounded = round_conservative(use.value, use.path, least=least)
-            factor = rounded / planned
-            if least:
-                factor = planned / rounded
+            factor = round_conservative(use.value, use.path, least=self._least) / planned
+            if self._least:
+                factor = 1.0 / factor
             unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
             if factor < 1.0:
                 text += ", no margin"
@@ -278,7 +265,7 @@ class DecisionText:
         for doubt in self._governing[:1]:
             clause = _words(doubt)[0]
             if doubt.code in ("tests", "computation"):
-                end = "upper" if is_least(self.decision) else "lower"
+                end = "upper" if self._least else "lower"
                 clause = f"by the {end} end of {clause.removeprefix('with ')}"
             text += f", {clause}"
         return f"{text}."

@@ -53,7 +53,7 @@ def _ties(study: Study) -> Iterator[str]:
         yield f"dependence: {', '.join(tie.of)}: {text}"
 
 
-def _tables(study: Study) -> list[PageTable]:
+def _tables(study: Study) -> Iterator[PageTable]:
     """Inputs, and strengths where there are limits."""
     rows = list[tuple[str, ...]]()
     for name, number in study.fixed.items():
@@ -62,12 +62,11 @@ def _tables(study: Study) -> list[PageTable]:
         numbers = (value(law.mean(), name, 4), value(law.sd(), name), _range(law, name))
         rows.append((name, *numbers, _family(law), _source(study, name)))
     head = ("input", "mean", "sd", "5-95 % range", "distribution", "source")
-    tables = [PageTable("Inputs", head, rows)]
+    yield PageTable("Inputs", head, rows)
     if study.limits:
         head = ("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range")
         rows = [_strength(limit) for limit in study.limits]
-        tables.append(PageTable("Strengths", (*head, "demand"), rows))
-    return tables
+        yield PageTable("Strengths", (*head, "demand"), rows)
 
 
 def _family(law: Law) -> str:
@@ -169,7 +168,7 @@ def cost(study: Study) -> str:
 def listing(what: str) -> str:
     """Materials, quantities, criteria or distributions, as `uqsphere list` prints them."""
     if what == "materials":
-        return _materials()
+        return "\n".join(_materials())
     outputs = ((name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items())
     criteria = ((name, criterion.meaning) for name, criterion in CRITERIA.items())
     families = ((name, law.allowed() or "values, or a file") for name, law in FAMILIES.items())
@@ -181,11 +180,9 @@ def listing(what: str) -> str:
     return "\n".join(columns(rows[what]))
 
 
-def _materials() -> str:
-    lines = []
+def _materials() -> Iterator[str]:
     for kind, entries in library().items():
         for name, material in entries.items():
-            lines.append(f"{name} ({kind}): {material.title}")
+            yield f"{name} ({kind}): {material.title}"
             for key, entry in material.properties.items():
-                lines.append(f"    {key} {entry.text}  [{entry.source}]")
-    return "\n".join(lines)
+                yield f"    {key} {entry.text}  [{entry.source}]"

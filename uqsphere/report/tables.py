@@ -277,13 +277,13 @@ def fracture(results: Results) -> PageTable:
     rows = [("fracture probability", probability(joint))]
     for row in answers.where("fracture", Kind.MODE_SHARE):
         rows.append((f"first failure mode: {row.at}", probability(row)))
-    for kind, name, quantity in (
-        (Kind.TIME_AT_FRACTURE, "time", "contact_duration"),
-        (Kind.FORCE_AT_FRACTURE, "force", "P_max"),
+    for kind, quantity in (
+        (Kind.TIME_AT_FRACTURE, "contact_duration"),
+        (Kind.FORCE_AT_FRACTURE, "P_max"),
     ):
         median = answers.get("fracture", kind, 0.5)
         if median is not None:
-            rows.append((f"{name} at fracture, median", estimate(median, quantity)))
+            rows.append((f"{kind.replace('_', ' ')}, median", estimate(median, quantity)))
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 
 from uqsphere.report import tables
-from uqsphere.report.format import estimate, keep_units, meaning, table_of, value_range
+from uqsphere.report.format import keep_units, meaning, value_range
 from uqsphere.report.sentences import (
     NO_LIMIT,
     accuracy_text,
@@ -12,7 +12,7 @@ from uqsphere.report.sentences import (
     exceedance_name,
     limit_notes,
 )
-from uqsphere.results.types import Kind, Results
+from uqsphere.results.types import Results
 
 #: lines at most, rows of each table, and columns of indices
 LINES, ROWS, COLUMNS = 40, 8, 3
@@ -70,11 +70,10 @@ def _paper(results: Results) -> list[Sequence[str]]:
 
 
 def _quantities(results: Results) -> Sequence[Sequence[str]]:
-    answers = table_of(results)
     rows = [("quantity", "mean", "5-95 % range")]
-    for name, entry in results.study.quantities.items():
+    shown = zip(results.study.quantities.items(), tables.quantities(results).rows, strict=True)
+    for (name, entry), (_, mean, *_) in shown:
         low, _, high = entry.range
-        mean = estimate(answers.get(name, Kind.MEAN), name)
         rows.append((meaning(name), mean, value_range(low, high, name)))
     return rows[: ROWS + 1]
 
