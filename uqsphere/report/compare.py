@@ -148,10 +148,9 @@ def _settings(named: Sequence[tuple[str, Run]]) -> Iterator[str]:
         changed = [text for text in run.results.study.overrides if text not in common]
         if changed:
             yield f"--set {'; '.join(changed)} ({name})"
-    first = named[0][1].results
     for name, run in named[1:]:
         for path, entry in run.results.inputs.items():
-            before = first.inputs.get(path)
+            before = named[0][1].results.inputs.get(path)
             if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):
                 yield f"{path}: {_input(before, path)} -> {_input(entry, path)} ({name})"
 

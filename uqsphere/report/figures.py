@@ -90,29 +90,26 @@ def picture_svg(draw: Callable[[Figure], None], width: float, height: float) -> 
     return re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\d+\.\d)\d+", r"\1", path[0]), body)
 
 
-def svg(draw: Callable[[Axes], None], width: float = 620.0, height: float = 310.0) -> str:
-    """The SVG of what `draw` puts on axes that fill the figure."""
-
-    def on_figure(figure: Figure) -> None:
-        figure.set_layout_engine("constrained")
-        draw(figure.add_subplot())
-
-    return picture_svg(on_figure, width, height)
-
-
-def _placed(
-    size: tuple[float, float],
-    edges: tuple[float, float, float, float],
+def svg(
     draw: Callable[..., None],
     *shown: Any,
+    size: tuple[float, float] = (620.0, 310.0),
+    edges: tuple[float, float, float, float] | None = None,
 ) -> str:
     """The SVG of what `draw` puts on axes, given what is `shown`: in a figure of a size, with room
-    at its left, right, top and bottom [px].
+    at its left, right, top and bottom [px], or as much as the texts need.
     """
-    (width, height), (left, right, top, bottom) = size, edges
-    inner = (1.0 - (left + right) / width, 1.0 - (top + bottom) / height)
-    place = (left / width, bottom / height, *inner)
-    return picture_svg(lambda figure: draw(figure.add_axes(place), *shown), width, height)
+
+    def on_figure(figure: Figure) -> None:
+        if edges is None:
+            figure.set_layout_engine("constrained")
+            draw(figure.add_subplot(), *shown)
+        else:
+            (width, height), (left, right, top, bottom) = size, edges
+            inner = (1.0 - (left + right) / width, 1.0 - (top + bottom) / height)
+            draw(figure.add_axes((left / width, bottom / height, *inner)), *shown)
+
+    return picture_svg(on_figure, *size)
 
 
 # --- pictures of the page -------------------------------------------------------------------------
@@ -132,7 +129,8 @@ def pictures_of(results: Results) -> dict[str, Picture]:
     if sizes.shape[1] > 1:
         runs, error = sizes[:, -1]
         text = f"Largest error over tolerance, {error:.2g} at {runs:,.0f} model runs"
-        figure = _placed((420.0, 210.0), (63.0, 80.0, 8.0, 46.0), draw_convergence, sizes)
+        edges = (63.0, 80.0, 8.0, 46.0)
+        figure = svg(draw_convergence, sizes, size=(420.0, 210.0), edges=edges)
         drawn["convergence"] = Picture("Convergence", text, figure)
     for number, (name, entry) in enumerate(quantities[:FIRST], 1):
         if entry.held_out:
@@ -142,8 +140,8 @@ def pictures_of(results: Results) -> dict[str, Picture]:
                 f"{title} as predicted by polynomial chaos against model runs that it was not "
                 f"fitted to; {left} of the variance is not explained"
             )
-            size = (260.0, 210.0)
-            figure = _placed(size, (56.0, 12.0, 8.0, 46.0), draw_expansion, results, name)
+            edges = (56.0, 12.0, 8.0, 46.0)
+            figure = svg(draw_expansion, results, name, size=(260.0, 210.0), edges=edges)
             drawn[f"expansion-{number}"] = Picture(f"{title}: polynomial chaos", text, figure)
     return drawn
 
@@ -162,10 +160,10 @@ def _fragility(results: Results) -> dict[str, Picture]:
     texts += [small(decision.use) for decision in decision_texts(results)]
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)
-    right = min(max(LETTER * letters, 90.0), 190.0) + 12.0
+    edges = (62.0, min(max(LETTER * letters, 90.0), 190.0) + 12.0, 58.0, 74.0)
+    wide = svg(draw_fragility, results, size=(822.0, 430.0), edges=edges)
     brief = partial(draw_fragility, brief=True)
-    wide = _placed((822.0, 430.0), (62.0, right, 58.0, 74.0), draw_fragility, results)
-    narrow = _placed((370.0, 430.0), (58.0, 92.0, 84.0, 84.0), brief, results)
+    narrow = svg(brief, results, size=(370.0, 430.0), edges=(58.0, 92.0, 84.0, 84.0))
     return {
         "fragility": Picture(title, text, wide),
         "fragility-narrow": Picture(title, text, narrow),
@@ -175,11 +173,10 @@ def _fragility(results: Results) -> dict[str, Picture]:
 def _density(results: Results, quantity: str, entry: QuantityEntry) -> Picture:
     """The small picture of a distribution."""
     low, middle, high = quantile_texts(entry, quantity)
-    unit = display_unit(quantity, entry.range[1] or 1.0)[0]
     return Picture(
-        with_unit(title_of(quantity), unit),
+        with_unit(title_of(quantity), display_unit(quantity, entry.range[1] or 1.0)[0]),
         f"Density: 5 % at {low}; 50 % at {middle}; 95 % at {high}",
-        _placed((370.0, 190.0), (7.0, 7.0, 4.0, 36.0), draw_density, results, quantity),
+        svg(draw_density, results, quantity, size=(370.0, 190.0), edges=(7.0, 7.0, 4.0, 36.0)),
     )
 
 

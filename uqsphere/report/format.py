@@ -35,8 +35,7 @@ def table_of(results: Results) -> Answers:
 
 def ends_of(rows: Iterable[Estimated]) -> Array:
     """Values, and lower and upper ends, of n answers (3, n); nan where there is none."""
-    ends = [(row.value, row.low, row.high) for row in rows]
-    return np.array(ends, dtype=float).reshape(-1, 3).T
+    return np.array([(row.value, row.low, row.high) for row in rows], float).reshape(-1, 3).T
 
 
 def keep_units(text: str) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -201,16 +200,15 @@ def _pictures(study: Study, course: History) -> Iterator[tuple[str, Picture]]:
         ),
     ):
         if lines:
-            draw = partial(_draw_lines, lines=lines, label=label, end=1e6 * course.record_end)
+            drawn = svg(_draw_lines, lines, label, 1e6 * course.record_end)
             largest = max(abs(y).max() for _, _, y in lines)
             text = f"{label} over time: {largest:.4g} at most"
-            yield name, Picture(capital(label), text, svg(draw))
+            yield name, Picture(capital(label), text, drawn)
     if RIGS[study.rig].by_wave:
         view = view_field(course, places=150, times=150)
         largest = 1e-6 * float(np.abs(view.stress).max())
         text = f"Stress over place and time: {largest:.4g} MPa at most"
-        drawn = svg(partial(_draw_xt, view=view, largest=largest or 1.0))
-        yield "xt", Picture("Stress in the bars", text, drawn)
+        yield "xt", Picture("Stress in the bars", text, svg(_draw_xt, view, largest or 1.0))
 
 
 def _draw_lines(

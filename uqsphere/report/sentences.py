@@ -283,8 +283,8 @@ class DecisionText:
     @property
     def _event(self) -> str:
         """What the probability of the decision is of."""
-        governing = self.decision.governing
-        entry = self.results.study.limits.get(governing.removeprefix("limits."))
+        name = self.decision.governing.removeprefix("limits.")
+        entry = self.results.study.limits.get(name)
         if entry is None or entry.fracture or any(doubt.joint for doubt in self._governing):
             return "fracture probability"
         return "probability of exceedance"

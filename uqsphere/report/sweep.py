@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -289,9 +288,9 @@ def _pictures(sweep: Sweep, frame: pd.DataFrame, first: Results) -> dict[str, Pi
         shown.insert(0, ("sweep-use", title, "use", *scale))
     for name, title, column, unit, factor in shown:
         values = factor * frame[column].astype(float)
-        draw = partial(_draw, sweep=sweep, frame=frame.assign(shown=values))
+        drawn = svg(_draw, sweep, frame.assign(shown=values), size=(420.0, 270.0))
         text = f"{title}: the numbers are in the table"
-        pictures[name] = Picture(with_unit(title, unit), text, svg(draw, 420.0, 270.0))
+        pictures[name] = Picture(with_unit(title, unit), text, drawn)
     return pictures
 
 

@@ -339,7 +339,7 @@ def indices(results: Results) -> PageTable:
     note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
-    heads = itertools.product([meaning(name) for name in names], "ST")
+    heads = itertools.product(map(meaning, names), "ST")
     return PageTable(
         f"Sobol’ indices {', '.join(sorted(methods - {''}))}".strip(),
         ("input", *map(", ".join, heads)),
@@ -361,9 +361,8 @@ def margins(results: Results) -> PageTable:
                 asked.setdefault(name, []).append(row.at)
     body = []
     for p in sorted({*itertools.chain(*asked.values())}):
-        values = [answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked]
-        cells = [estimate(row, free.path) for row in values]
-        body.append((format_probability(p), *cells))
+        margins = (answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
+        body.append((format_probability(p), *(estimate(row, free.path) for row in margins)))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results)}",
         ("probability", *asked),

@@ -60,8 +60,7 @@ def _limits(results: Results) -> list[Sequence[str]]:
     head = ["failure mode", exceedance_name(results), "beta"]
     if results.study.free is not None:
         head += ["best estimate", "to use"]
-    rows = tables.limits(results).rows[: ROWS + 2]
-    return [head, *(row[: len(head)] for row in rows)]
+    return [head, *(row[: len(head)] for row in tables.limits(results).rows[: ROWS + 2])]
 
 
 def _paper(results: Results) -> list[Sequence[str]]:
