@@ -147,7 +147,7 @@ def draw_fragility(
     if low > 0.0:
         axes.set_xscale("log")
         plain_logarithms(axes.xaxis, high / low)
-    axes.set_yticks(special.ndtri(TICKS), [format_probability(tick) for tick in TICKS])
+    axes.set_yticks(special.ndtri(TICKS), list(map(format_probability, TICKS)))
     axes.grid(color=FAINT, linewidth=0.7)
     axes.set_axisbelow(True)
     above, right = _draw_curves(axes, curves, factor)

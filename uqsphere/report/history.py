@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.field import BARS, default_positions, first_tension, gauge_record
 from uqsphere.mechanics.history import (
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from uqsphere.mechanics.history import FieldView
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@frozen(eq=False, repr=False)
 class Course(History):
     """The course of one scene, which shows itself in a notebook."""
 
@@ -206,7 +205,7 @@ def _pictures(study: Study, course: History) -> Iterator[tuple[str, Picture]]:
             yield name, Picture(capital(label), text, drawn)
     if RIGS[study.rig].by_wave:
         view = view_field(course, places=150, times=150)
-        largest = 1e-6 * float(np.abs(view.stress).max())
+        largest = 1e-6 * np.abs(view.stress).max()
         text = f"Stress over place and time: {largest:.4g} MPa at most"
         yield "xt", Picture("Stress in the bars", text, svg(_draw_xt, view, largest or 1.0))
 

@@ -223,8 +223,8 @@ def _brief(text: str) -> str:
 def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
     """First-order and total indices, a row an input, with their 95 % intervals."""
     count = len(indices.inputs)
-    for row, (first, total) in enumerate(zip(indices.first.T, indices.total.T, strict=True)):
-        height = count - 1 - row
+    heights = reversed(range(count))
+    for height, first, total in zip(heights, indices.first.T, indices.total.T, strict=True):
         axes.axhline(height, color=FAINT, linewidth=0.7, zorder=0)
         axes.hlines(height, *first[1:], color=INK, linewidth=1.2, zorder=2)
         axes.hlines(height, *total[1:], color=BLUE, linewidth=2.5, zorder=3)
@@ -250,10 +250,10 @@ def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
     """
     entry = results.study.quantities[quantity]
     unit, factor = display_unit(quantity, entry.range[1] or 1.0)
-    true, predicted = np.array(entry.held_out, dtype=float) * factor
-    ends = (min(true.min(), predicted.min()), max(true.max(), predicted.max()))
+    pairs = np.array(entry.held_out, dtype=float) * factor
+    ends = (pairs.min(), pairs.max())
     axes.plot(ends, ends, color=INK, linewidth=0.9)
-    axes.plot(true, predicted, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
+    axes.plot(*pairs, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
     axes.set(xlabel=with_unit("model run", unit), ylabel="predicted")
     axes.locator_params(nbins=4)
     axes.set_aspect("equal", "box")

@@ -179,35 +179,7 @@ class DecisionText:
     @property
     def open(self) -> list[str]:
         """Why the verdict is not established, and checks that fail."""
-        decision = self.decision
-        texts = []
-        synthetic = []
-        for caveat in decision.caveats:
-            if caveat.code == "synthetic tests":
-                synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
-            else:
-                texts.append(caveat_text(caveat))
-        if synthetic:
-            texts.append(f"the tests of {listed(synthetic)} are synthetic, not measured")
-        if decision.verdict == "undecided":
-            texts += self._undecided
-        told = {caveat.subject for caveat in decision.caveats}
-        for check in self.results.checks:
-            if check.grade == "failure" and check.name not in told:
-                effect = f" ({check.effect})" if check.effect else ""
-                texts.append(f"check failed: {check.text}{effect}")
-        for doubt in decision.doubts:
-            if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
-                name = plain_name(doubt.subject)
-                p = plain_probability(doubt.at_plan)
-                text = (
-                    f"damage that is not counted: {name} in {p} of the spheres at the planned value"
-                )
-                if doubt.margin is not None and self._free is not None:
-                    at = value(doubt.margin, self._free.path)
-                    text += f", in {format_probability(doubt.target)} at {at}"
-                texts.append(f"{text} (analysis.damage_counts = true counts it)")
-        return texts
+        return list(self._reasons())
 
     # --- parts of these sentences -----------------------------------------------------------------
 
@@ -298,19 +270,45 @@ class DecisionText:
             return f"Target: at least {format_probability(1.0 - target)}"
         return f"Target: at most {format_probability(target)}"
 
-    @property
-    def _undecided(self) -> list[str]:
+    def _reasons(self) -> Iterator[str]:
+        decision = self.decision
+        synthetic = []
+        for caveat in decision.caveats:
+            if caveat.code == "synthetic tests":
+                synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
+            else:
+                yield caveat_text(caveat)
+        if synthetic:
+            yield f"the tests of {listed(synthetic)} are synthetic, not measured"
+        if decision.verdict == "undecided":
+            yield from self._undecided()
+        told = {caveat.subject for caveat in decision.caveats}
+        for check in self.results.checks:
+            if check.grade == "failure" and check.name not in told:
+                effect = f" ({check.effect})" if check.effect else ""
+                yield f"check failed: {check.text}{effect}"
+        for doubt in decision.doubts:
+            if not doubt.counts and (doubt.at_plan.value or 0.0) > doubt.target:
+                name = plain_name(doubt.subject)
+                p = plain_probability(doubt.at_plan)
+                text = (
+                    f"damage that is not counted: {name} in {p} of the spheres at the planned value"
+                )
+                if doubt.margin is not None and self._free is not None:
+                    at = value(doubt.margin, self._free.path)
+                    text += f", in {format_probability(doubt.target)} at {at}"
+                yield f"{text} (analysis.damage_counts = true counts it)"
+
+    def _undecided(self) -> Iterator[str]:
         """The doubt under which the planned value misses its target by most."""
         aim = self.decision.aim
         doubts = [doubt for doubt in self.decision.doubts if doubt.counts and doubt.at_plan.value]
-        if not doubts:
-            return []
-        worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
-        p = plain_probability(as_event(aim, worst.at_plan))
-        name = plain_name(worst.subject)
-        side = "down to" if aim == "break" else "up to"
-        words = f"({name}, {_words(worst)[0]})"
-        return [f"fracture probability at the planned value {side} {p} {words}"]
+        if doubts:
+            worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
+            p = plain_probability(as_event(aim, worst.at_plan))
+            side = "down to" if aim == "break" else "up to"
+            words = f"({plain_name(worst.subject)}, {_words(worst)[0]})"
+            yield f"fracture probability at the planned value {side} {p} {words}"
 
 
 _REMEDIES = {

@@ -12,10 +12,10 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uqsphere.arrays import frozen
 from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
 from uqsphere.quantities import display_unit, lookup
@@ -47,7 +47,7 @@ def path_of(key: str) -> str:
     return key.removesuffix(".mean").removeprefix("inputs.")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Point:
     """One point of a sweep: the values of its keys as they were written, and its study."""
 
@@ -56,7 +56,7 @@ class Point:
     name: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Sweep:
     """A sweep: where it is kept, and its points."""
 
