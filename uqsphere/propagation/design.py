@@ -132,7 +132,7 @@ class Design:
     @cached_property
     def fracture(self) -> tuple[Limit, ...]:
         """The limits of the file that mean fracture of the sphere."""
-        return tuple(limit for limit in self.limits if means_fracture(limit))
+        return tuple(filter(means_fracture, self.limits))
 
     @property
     def on_failure(self) -> str:

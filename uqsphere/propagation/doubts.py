@@ -232,8 +232,8 @@ class Curves:
         """
         stands = []
         for group in (*self.aim.groups, *([mode.limit] for mode in self.aim.modes)):
-            counted = [limit for limit in group if self.aim.survive and means_fracture(limit)]
-            if counted:
+            counted = [*filter(means_fracture, group)]
+            if counted and self.aim.survive:
                 exceeded = self.line.exceedance(self.line.state(counted[0]), self.aim.word)
                 stands.append((group, 1.0 - exceeded))
         held = dict[str, Array]()

@@ -47,8 +47,8 @@ def fragility(design: Design, tables: Tables) -> Rows:
         for p, estimate in fitted.values.items():
             unit = lookup(margins.solve).unit
             yield estimate_row(subject, "margin", p, estimate, unit=unit, runs=runs)
-        allowed = fitted.values.get(limit.allowable)
-        if allowed is None or not allowed.value or not planned or not limit.has_target:
+        allowed = fitted.values[limit.allowable]
+        if not allowed.value or not planned or not limit.has_target:
             continue
         # the free number over its planned value, or the inverse for a limit that must break
         values = np.array([allowed.value, allowed.low, allowed.high], dtype=float)

@@ -246,13 +246,12 @@ def paired(
     for name in names:
         if done:
             outputs[name][:, :done] = before[name]
-    step = max(PART // (REPLICATES * size), 1)
+    step = PART // (REPLICATES * size)
     for start in range(done, count, step):
         rows = pair_rows(design, min(step, count - start), start)
         answers = model.evaluate(design.inputs, rows.reshape(-1, rows.shape[3]), names)
         check_failures(design, answers.status, answers.note)
-        values = np.where(answers.good[:, None], answers.values, np.nan)
-        for name, column in zip(names, values.T, strict=True):
+        for name, column in zip(names, answers.values.T, strict=True):
             outputs[name][:, start : start + step] = column.reshape(rows.shape[:3])
     return outputs
 

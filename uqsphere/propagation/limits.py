@@ -125,7 +125,6 @@ def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
         demands=demands_of(limit, sample),
         strength=strength,
         censored=sample.late(column),
-        failed=sample.lost(column),
         on_failure=design.on_failure,
     )
     name = strength_name(limit.name)

@@ -105,8 +105,7 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Rows:
             reason = source.refusal
         elif method == "morris":
             uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=seed)
-            answered = model.evaluate(names, rows, design.described)
-            values = np.where(answered.good[:, None], answered.values, np.nan)
+            values = model.evaluate(names, rows, design.described).values
             columns = dict(zip(design.described, values.T, strict=True))
         for name, outputs in columns.items():
             if reason:

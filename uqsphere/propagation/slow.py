@@ -20,7 +20,6 @@ def described_rows(design: Design, sample: Sample, name: str, method: str) -> De
     return describe(
         sample.answer(name),
         censored=sample.late(name),
-        failed=sample.lost(name),
         on_failure=design.on_failure,
         quantiles=design.study.analysis.quantiles,
         method=method,

@@ -123,13 +123,13 @@ def answered(
     """
     shape = points.scores.shape[:2]
     cells = (*shape, len(design.columns))
-    good = np.resize(answers.good, shape)
+    status = np.resize(answers.status, shape)
     sample = points.with_answers(
         design.columns,
-        np.where(good[:, :, None], np.resize(answers.values, cells), np.nan),
+        np.resize(answers.values, cells),
         censored=np.resize(answers.censored, cells),
-        status=np.resize(answers.status, shape),
-        failed=~good,
+        status=status,
+        failed=status != 0,
     )
     return with_test_forces(design, sample, moving)
 

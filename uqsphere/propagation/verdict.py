@@ -84,7 +84,7 @@ class Judged:
         governing = self.settled.governing
         if governing.code != "assumed strength" and limits[0].has_target:
             return self.settled.setting.limit
-        return next((limit for limit in limits if means_fracture(limit)), limits[0])
+        return next(filter(means_fracture, limits), limits[0])
 
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""

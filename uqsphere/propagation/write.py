@@ -222,8 +222,8 @@ def _some(outputs: Array, predicted: Array) -> list[list[float]]:
 
 def _correlations(design: Design, tables: Tables) -> Iterator[CorrelationEntry]:
     """Correlation of the quantities of interest, in pairs."""
-    names = [name for name in design.study.analysis.quantities if name in design.described]
-    for first, second in itertools.combinations(names[:MOST_CORRELATED], 2):
+    names = design.study.analysis.quantities[:MOST_CORRELATED]
+    for first, second in itertools.combinations(names, 2):
         columns = np.stack([tables.sample.answer(name).ravel() for name in (first, second)])
         columns = columns[:, np.isfinite(columns).all(axis=0)]
         if columns.shape[1] > 1 and (np.ptp(columns, axis=1) > 0.0).all():
@@ -396,7 +396,7 @@ def versions() -> dict[str, str]:
 def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
     """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
     sample = tables.rows
-    head = sample.head(max(MOST_ROWS // sample.replicates, 1))
+    head = sample.head(MOST_ROWS // sample.replicates)
     table: dict[str, Array | Flags] = {name: head.input(name).ravel() for name in head.names}
     generator = design.generator("strengths of samples")
     for limit in design.limits:
