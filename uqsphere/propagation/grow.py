@@ -192,7 +192,9 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
 
 def _inaccurate_margins(tables: Tables) -> list[str]:
     """The limits whose margin is less accurate than required."""
-    return [e.subject.partition(".")[2] for e in tables.inaccurate if e.answer == "margin"]
+    return [
+        error.subject.partition(".")[2] for error in tables.inaccurate if error.answer == "margin"
+    ]
 
 
 def _answered(
@@ -277,7 +279,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
 
 def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
     """The accuracy of every answer that the study has a requirement for."""
-    return tuple(e for e in _accuracies(design, tables) if math.isfinite(e.required))
+    return tuple(error for error in _accuracies(design, tables) if math.isfinite(error.required))
 
 
 def _accuracies(design: Design, tables: Tables) -> Iterator[Accuracy]:

@@ -261,15 +261,15 @@ def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     """Cholesky factor of the correlation that strengths have with each other, given all that is
     drawn.
     """
-    places = design.joint.names.index
+    place_of = design.joint.names.index
     correlation = design.joint.correlation
     covariance = np.eye(len(limits))
     names = [strength_name(limit.name) for limit in limits]
     random = [k for k, name in enumerate(names) if name in design.joint.names]
     if not design.joint.dependent or len(random) < 2:
         return covariance
-    at = [places(names[k]) for k in random]
-    drawn = [*map(places, design.drawn.names)]
+    at = [place_of(names[k]) for k in random]
+    drawn = [*map(place_of, design.drawn.names)]
     across = correlation[np.ix_(drawn, at)]
     explained = across.T @ np.linalg.solve(correlation[np.ix_(drawn, drawn)], across)
     covariance[np.ix_(random, random)] = correlation[np.ix_(at, at)] - explained
