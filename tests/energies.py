@@ -52,6 +52,14 @@ class Balance:
         return np.asarray(energy - energy[0] - self.passed[0] + self.passed[1])
 
 
+def rates_of(motion: Motion, times: Array) -> Array:
+    """Rates of the approaches at A, B [m/s] at `times` [s], (m, 2)."""
+    powers = np.arange(1, motion.states.shape[2])
+    slopes = motion.states[:, :2, 1:] * powers / motion.length[:, None, None]
+    unit = motion.scene.scales.approach[motion.row] / motion.unit
+    return np.asarray(motion._at(slopes, times) * unit)
+
+
 def balance_of(motion: Motion, times: Array) -> Balance:
     """The balance of a motion at ascending instants (m,) [s]; work by the trapezoidal rule.
 
@@ -60,7 +68,7 @@ def balance_of(motion: Motion, times: Array) -> Balance:
     if motion.fidelity == "massless":
         raise ValueError("a massless sphere has no velocity of its own; use the full model")
     scene = motion.scene
-    states, rates = motion.states_at(times), motion.rates_at(times)
+    states, rates = motion.states_at(times), rates_of(motion, times)
     forces, sphere = motion.forces_at(times).T, states[:, 2]
     approach, radius, dent, stored, plastic = (
         np.stack(column)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tests.campaigns import options, table
-from tests.energies import balance_of
+from tests.energies import balance_of, rates_of
 from uqsphere.mechanics.integrator import solve as integrator
 from uqsphere.mechanics.integrator.solve import motions, solve
 from uqsphere.mechanics.outputs import SceneAnswers, absent_in
@@ -547,7 +547,7 @@ def unbalanced(scene: Scene, row: int, tolerance: float) -> float:
         return math.nan
     nodes, weights = np.polynomial.legendre.leggauss(24)
     times = starts[:, None] + lengths[:, None] * 0.5 * (1.0 + nodes)
-    states, rates = found.states_at(times.ravel()), found.rates_at(times.ravel())
+    states, rates = found.states_at(times.ravel()), rates_of(found, times.ravel())
     forces = found.forces_at(times.ravel())
     power = forces[:, 0] * (states[:, 2] + rates[:, 0]) - forces[:, 1] * (
         states[:, 2] - rates[:, 1]

@@ -241,31 +241,21 @@ def _stays_below(s, j, squeeze, largest, stiffness):
     lane = s.lane[j]
     time = lane.time
     at_start = squeeze
-    cells_a = s.cells[0]
-    cells_b = s.cells[1]
-    if cells_a == 0 or cells_b == 0:
-        alike = lane.reflect[1 if cells_a == 0 else 0] == 1.0
-    else:
-        alike = abs(lane.trips[0] - lane.trips[1]) < 1e-9 * lane.trips[0]
-        alike = alike and lane.reflect[0] == 1.0 and lane.reflect[1] == 1.0
-    weight_a = lane.reflect[0]
-    weight_b = lane.reflect[1]
-    shift_a = 0.0
-    shift_b = 0.0
-    a = 0
-    b = 0
+    # whether the same waves come again: no end takes from them, and both send them at once
+    alike = s.cells[0] == 0 or s.cells[1] == 0
+    alike = alike or abs(lane.trips[0] - lane.trips[1]) < 1e-9 * lane.trips[0]
+    for bar in range(2):
+        s.cell[bar] = 0
+        s.cell_shift[bar] = 0.0
+        s.cell_weight[bar] = lane.reflect[bar]
+        alike = alike and (s.cells[bar] == 0 or lane.reflect[bar] == 1.0)
     for _ in range(_MOST_CELLS):
-        until_a = math.inf
-        until_b = math.inf
+        until = lane.end
         drive = 0.0
-        if cells_a > 0:
-            until_a = s.cell_end[0, a] + shift_a
-            drive = weight_a * s.cell_wave[0, a]
-        if cells_b > 0:
-            until_b = s.cell_end[1, b] + shift_b
-            drive += weight_b * s.cell_wave[1, b]
-        until = min(min(until_a, until_b), lane.end)
-
+        for bar in range(2):
+            if s.cells[bar] > 0:
+                until = min(until, s.cell_end[bar, s.cell[bar]] + s.cell_shift[bar])
+                drive += s.cell_weight[bar] * s.cell_wave[bar, s.cell[bar]]
         if until > time:
             squeeze = _after(s, squeeze, drive, stiffness, until - time)
             time = until
@@ -274,21 +264,16 @@ def _stays_below(s, j, squeeze, largest, stiffness):
         if time >= lane.end:
             return True
         wrapped = False
-        if until_a <= time:
-            a += 1
-            if a == cells_a:
-                a = 0
-                shift_a = shift_a + lane.trips[0]
-                weight_a = weight_a * lane.reflect[0]
+        for bar in range(2):
+            if s.cells[bar] == 0 or s.cell_end[bar, s.cell[bar]] + s.cell_shift[bar] > time:
+                continue
+            s.cell[bar] += 1
+            if s.cell[bar] == s.cells[bar]:
+                s.cell[bar] = 0
+                s.cell_shift[bar] += lane.trips[bar]
+                s.cell_weight[bar] *= lane.reflect[bar]
                 wrapped = True
-        if until_b <= time:
-            b += 1
-            if b == cells_b:
-                b = 0
-                shift_b = shift_b + lane.trips[1]
-                weight_b = weight_b * lane.reflect[1]
-                wrapped = True
-        if wrapped and alike and a == 0 and b == 0:
+        if wrapped and alike and s.cell[0] == 0 and s.cell[1] == 0:
             if squeeze <= at_start:  # the same waves come again, to a looser sphere
                 return True
             at_start = squeeze

@@ -132,14 +132,6 @@ class Motion:
         units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
         return np.asarray(self._at(self.states, times) * units)
 
-    def rates_at(self, times: Array) -> Array:
-        """Rates of the approaches at A, B [m/s] at `times` [s], (m, 2)."""
-        powers = np.arange(1, self.states.shape[2])
-        slopes = self.states[:, :2, 1:] * powers / self.length[:, None, None]
-        return np.asarray(
-            self._at(slopes, times) * (self.scene.scales.approach[self.row] / self.unit)
-        )
-
     def force_at(self, approach: Array) -> Array:
         """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c)
         of `linear`.

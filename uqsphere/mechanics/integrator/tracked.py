@@ -317,6 +317,9 @@ STATE = np.dtype(
         ("cell_end", "f8", (2, CELLS)),  # t_c; ends of the cells of waves under way; records
         ("cells", "i8", 2),  # how many of them; records
         ("cell_wave", "f8", (2, CELLS)),  # the waves in them at most; records
+        ("cell", "i8", 2),  # the one that acts now, of each bar; records
+        ("cell_shift", "f8", 2),  # t_c; round trips since it was bounded; records
+        ("cell_weight", "f8", 2),  # what the reflections have left of it; records
         # of all rows, from march_rows
         ("mode", "i8"),  # FULL, LINEAR or MASSLESS
         ("wanted", "i8"),  # bits WANT_*
