@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.report.format import DASH, change_text, ends_of, label, meaning, plain_name, value
@@ -46,7 +46,7 @@ class _Change(NamedTuple):
     significant: bool
 
 
-def compare(runs: Sequence[Run], names: Sequence[str]) -> pd.DataFrame:
+def compare(runs: Sequence[Run], names: Names) -> pd.DataFrame:
     """Answers of several runs side by side, the largest significant change first.
 
     Columns: subject, answer, at, unit, for each run NAME its value; change, the largest against the
@@ -96,7 +96,7 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 
-def comparison_text(runs: Sequence[Run], names: Sequence[str]) -> str:
+def comparison_text(runs: Sequence[Run], names: Names) -> str:
     """Decisions, settings that differ, and the answers that changed most, as text."""
     changes = _changes(runs)
     named = list(zip(names, runs, strict=True))

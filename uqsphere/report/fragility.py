@@ -98,7 +98,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     kept = sorted(at_plan, key=exceeded, reverse=True)[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
-    curves = list[Curve]()
+    curves = []
     for subject, estimate in at_plan.items():
         if subject in kept:
             look = RED if subject in governing else GREY, ASSUMED

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Names
 from uqsphere.quantities import display_unit, format_probability, format_together
 from uqsphere.report.format import ends_of, meaning, table_of, with_unit
 from uqsphere.results.types import Kind, QuantityEntry, Range, Results
@@ -181,12 +181,12 @@ class Indices(NamedTuple):
     """
 
     name: str
-    inputs: Sequence[str]
+    inputs: Names
     first: Array
     total: Array
 
 
-def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
+def indices_of(results: Results, quantities: Names) -> list[Indices]:
     """Sobol' indices of some quantities, the inputs in one order: the largest total first."""
     answers = table_of(results)
     inputs = ranked_inputs(results, quantities)[:MOST_INPUTS]
@@ -203,7 +203,7 @@ def indices_of(results: Results, quantities: Sequence[str]) -> list[Indices]:
     return columns
 
 
-def ranked_inputs(results: Results, quantities: Sequence[str]) -> list[str]:
+def ranked_inputs(results: Results, quantities: Names) -> list[str]:
     """Inputs that have an index of a quantity, the largest total index first."""
     rows = [
         row

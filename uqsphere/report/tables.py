@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from uqsphere.quantities import format_probability, format_together
 from uqsphere.report.format import (
@@ -47,6 +47,8 @@ from uqsphere.results.types import (
     Results,
 )
 
+#: texts of a row
+Row: TypeAlias = Sequence[str]
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
 #: where a doubt without a margin stands among margins, and its text
@@ -63,13 +65,13 @@ class PageTable(NamedTuple):
     """
 
     caption: str = ""
-    head: Sequence[str] = ()
-    rows: Sequence[Sequence[str]] = ()
+    head: Row = ()
+    rows: Sequence[Row] = ()
     marked: Sequence[int] = ()
     note: str = ""
 
 
-def columns(rows: Sequence[Sequence[str]], width: float = math.inf) -> list[str]:
+def columns(rows: Sequence[Row], width: float = math.inf) -> list[str]:
     """Rows of texts as lines of a terminal, heads first; where that is narrow, heads are broken
     and, if that is not enough, the texts of the first column.
 
@@ -158,7 +160,7 @@ def limits(results: Results) -> PageTable:
     head = ["limit", f"{exceedance_name(results)} at the plan", "β"]
     if free is not None:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
-    rows = list[Sequence[str]]()
+    rows = list[Row]()
     aims = [entry.aim for entry in entries.values()]
     for subject, entry in entries.items():
         p = probability(answers.get(subject, Kind.EXCEEDANCE_PROBABILITY))
@@ -224,7 +226,7 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
     return [DASH, DASH]
 
 
-def _joint_rows(results: Results, decision: Decision) -> Iterator[Sequence[str]]:
+def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     """The study's own limits together, and all failure modes, with their numbers to use."""
     number = DecisionText(results, decision).number
     use = decision.use
@@ -374,7 +376,7 @@ def drivers(results: Results) -> Iterator[PageTable]:
     """Sensitivity of each failure probability, and design points: a column a limit."""
     answers = table_of(results)
     largest = dict[str, float]()
-    changes = dict[str, dict[str, str]]()
+    changes = {}
     points = dict[str, dict[str, str]]()
     for subject, entry in entries_of(results).items():
         # failure is to stay whole where the aim is to break
@@ -396,7 +398,7 @@ def drivers(results: Results) -> Iterator[PageTable]:
             if not name and entry.tests:  # in terms of the test force
                 text = DASH
             points.setdefault(label(subject), {})[name] = text
-    ranked = sorted(largest, key=lambda name: -largest[name])[:MOST_ROWS]
+    ranked = sorted(largest, key=largest.__getitem__, reverse=True)[:MOST_ROWS]
     shift = "percentage points per standard deviation shift of the input's mean"
     for columns, caption, note in (
         (changes, f"Sensitivity of the {exceedance_name(results)}", shift),

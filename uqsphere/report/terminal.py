@@ -12,6 +12,7 @@ from uqsphere.report.sentences import (
     exceedance_name,
     limit_notes,
 )
+from uqsphere.report.tables import Row
 from uqsphere.results.types import Results
 
 #: lines at most, rows of each table, and columns of indices
@@ -49,26 +50,26 @@ def _wrapped(texts: Iterable[str], width: int) -> list[str]:
     return lines
 
 
-def _columns(rows: Sequence[Sequence[str]], width: int) -> list[str]:
+def _columns(rows: Sequence[Row], width: int) -> list[str]:
     """A table, heads first, below an empty line; nothing without rows."""
     if len(rows) < 2:
         return []
     return ["", *tables.columns(rows, width)]
 
 
-def _limits(results: Results) -> list[Sequence[str]]:
+def _limits(results: Results) -> list[Row]:
     head = ["failure mode", exceedance_name(results), "beta"]
     if results.study.free is not None:
         head += ["best estimate", "to use"]
     return [head, *(row[: len(head)] for row in tables.limits(results).rows[: ROWS + 2])]
 
 
-def _paper(results: Results) -> list[Sequence[str]]:
+def _paper(results: Results) -> list[Row]:
     paper = tables.paper(results)
     return [row[:3] for row in (paper.head, *paper.rows)]
 
 
-def _quantities(results: Results) -> Sequence[Sequence[str]]:
+def _quantities(results: Results) -> Sequence[Row]:
     rows = [("quantity", "mean", "5-95 % range")]
     shown = zip(results.study.quantities.items(), tables.quantities(results).rows, strict=True)
     for (name, entry), (_, mean, *_) in shown:
@@ -77,9 +78,9 @@ def _quantities(results: Results) -> Sequence[Sequence[str]]:
     return rows[: ROWS + 1]
 
 
-def _indices(results: Results) -> list[Sequence[str]]:
+def _indices(results: Results) -> list[Row]:
     names = tables.with_indices(results)
-    rows: list[Sequence[str]] = [("Sobol' index, total", *names[:COLUMNS])]
+    rows: list[Row] = [("Sobol' index, total", *names[:COLUMNS])]
     for first, *cells in tables.indices(results).rows[:ROWS]:
         totals = cells[1 : 2 * COLUMNS : 2]
         rows.append((first, *(total.partition(" ")[0] for total in totals)))
