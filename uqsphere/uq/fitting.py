@@ -25,7 +25,16 @@ from numpy.random import Generator
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.families import DRAWN, FAMILIES, Keys
-from uqsphere.uq.forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, LawError, bandwidth
+from uqsphere.uq.forms import (
+    GAUSS,
+    MOST_KERNELS,
+    SMALLEST,
+    WEIBULL,
+    Form,
+    Function,
+    LawError,
+    bandwidth,
+)
 from uqsphere.uq.law import Law, bounds_of, checked
 
 if TYPE_CHECKING:
@@ -51,7 +60,7 @@ MANY = 300
 class LocationScale:
     """A family whose u(x) has a location m and a scale s."""
 
-    u: Callable[[Array], Array]  # rising or falling with x
+    u: Function  # rising or falling with x
     parameters: Callable[
         [Any, Any], dict[str, Any]
     ]  # (m, s), numbers or arrays -> parameters without defaults

@@ -36,7 +36,7 @@ DIRECT = {
     "expon": ("exponential", "- rate"),
 }
 #: bounded families by SciPy's names: its shapes, loc and scale -> family, bounds and parameters
-BOUNDED: Mapping[str, Callable[..., tuple[Any, ...]]] = {
+BOUNDED: Mapping[str, Any] = {
     "uniform": lambda loc, scale: ("uniform", loc, loc + scale),
     "loguniform": lambda a, b, loc, scale: ("loguniform", loc + scale * a, loc + scale * b),
     "triang": lambda c, loc, scale: ("triangular", loc, loc + scale, loc + c * scale),

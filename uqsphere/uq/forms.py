@@ -366,7 +366,7 @@ def bandwidth(data: Array) -> float:
 # --- means of many laws ---------------------------------------------------------------------------
 
 #: laws of a mean by their standard form, and y (..., 1) -> its argument (..., laws)
-Part = tuple[Form, Callable[[Array], Array]]
+Part = tuple[Form, Function]
 
 
 def _mean_of(

@@ -14,6 +14,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from uqsphere.arrays import Array, Flags, Places, special
 from uqsphere.uq.describe import quantile_estimates
@@ -316,7 +317,7 @@ def residual_correlation(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(correlation))))
 
 
-def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Generator) -> Union:
+def make_union(states: Sequence[LimitState], factor: Array, rng: Generator) -> Union:
     """The limits taken together, at the same (R, n) samples.
 
     `factor` (L, L) of `residual_correlation` is the identity for strengths that do not depend on
@@ -346,7 +347,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: np.random.Gener
     )
 
 
-def _drawn_below(share: Array, rng: np.random.Generator) -> Array:
+def _drawn_below(share: Array, rng: Generator) -> Array:
     """Normal scores drawn from the lower tails that have these shares."""
     scores = special.ndtri(np.maximum(rng.random(share.shape) * share, np.finfo(float).tiny))
     return np.clip(scores, -CERTAIN, CERTAIN)
@@ -390,7 +391,7 @@ class Breaking:
     weights: Array
 
 
-def draw_breaking(union: Union, count: int, rng: np.random.Generator) -> Breaking | None:
+def draw_breaking(union: Union, count: int, rng: Generator) -> Breaking | None:
     """Samples and strengths from their joint law given that a limit is exceeded; None where none
     can be.
     """

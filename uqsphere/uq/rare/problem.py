@@ -8,12 +8,12 @@ limit.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 
 from uqsphere.arrays import Array, special
+from uqsphere.uq.forms import Function
 from uqsphere.uq.points import sobol_points
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability
@@ -38,10 +38,10 @@ class Evaluator:
     all random numbers.
     """
 
-    function: Callable[[Array], Array]
+    function: Function
     dimension: int
     _: KW_ONLY
-    limit: Callable[[Array], Array] | None = None
+    limit: Function | None = None
     integrated: bool = False
     budget: float = 30_000
     seed: int = 0
