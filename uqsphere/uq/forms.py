@@ -269,15 +269,10 @@ def by_functions(distribution: Any) -> Form:
     Raises LawError where `inv` and `cdf` do not belong to each other.
     """
 
-    def numbers(function: Callable[[Array], Any]) -> Function:
-        return lambda y: np.asarray(function(y), dtype=float)
-
-    cdf = numbers(distribution.cdf)
-    inverse = numbers(distribution.inv)
     form = Form(
-        tails=lambda y: (cdf(y), 1.0 - cdf(y)),
-        quantile=lambda p, q: inverse(p),
-        pdf=numbers(distribution.pdf),
+        tails=lambda y: (distribution.cdf(y), 1.0 - distribution.cdf(y)),
+        quantile=lambda p, q: distribution.inv(p),
+        pdf=distribution.pdf,
     )
     return _examined(form, f"{type(distribution).__name__} of chaospy", "")
 
