@@ -33,7 +33,7 @@ DIRECT = {
     "gamma": ("gamma", "shape - scale"),
     "rayleigh": ("rayleigh", "- scale"),
     "lognorm": ("lognormal", "log_sd - log_mean"),
-    "expon": ("exponential", "- rate"),
+    "expon": ("exponential", "- mean"),
 }
 #: bounded families by SciPy's names: its shapes, loc and scale -> family, bounds and parameters
 BOUNDED: Mapping[str, Any] = {
@@ -221,8 +221,7 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
 def _by_name(name: str, *parameters: Any) -> Law:
     """The law by its name, shapes, loc and scale in SciPy."""
     numbers = [_number(parameter) for parameter in parameters]
-    shifted = numbers[-2] != 0.0
-    if name in BOUNDED and not (name == "loguniform" and shifted):
+    if name in BOUNDED and not (name == "loguniform" and numbers[-2] != 0.0):
         return _bounded(*BOUNDED[name](*numbers))
     if name in DIRECT:
         family, keys = DIRECT[name]
@@ -230,8 +229,6 @@ def _by_name(name: str, *parameters: Any) -> Law:
         if not table.pop("-", 0.0):
             if "log_mean" in table:
                 table["log_mean"] = math.log(table["log_mean"])
-            if "rate" in table:
-                table["rate"] = 1.0 / table["rate"]
             return make_law(family, table)
     other = family_named(PREFIX + name)
     if other is None:

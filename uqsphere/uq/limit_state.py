@@ -349,8 +349,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: Generator) -> U
 
 def _drawn_below(share: Array, rng: Generator) -> Array:
     """Normal scores drawn from the lower tails that have these shares."""
-    scores = special.ndtri(np.maximum(rng.random(share.shape) * share, np.finfo(float).tiny))
-    return np.clip(scores, -CERTAIN, CERTAIN)
+    return np.clip(special.ndtri(rng.random(share.shape) * share), -CERTAIN, CERTAIN)
 
 
 def union_state(union: Union) -> LimitState:
