@@ -82,11 +82,9 @@ def law_table(distribution: LawLike) -> dict[str, Any]:
     Raises LawError for anything else, and for a law that has no table: observations, or functions
         of chaospy.
     """
-    if isinstance(distribution, Mapping):
-        return dict(distribution)
     law = as_law(distribution)
     if law.family.name == "discrete":
-        return {"dist": "discrete", "values": list(law.data)}
+        return {"dist": "discrete", "values": law.data}
     if law.family.observed is not None or law.data:
         raise LawError(
             "a study file has no table for it: write a sample or the observations to a CSV and "
