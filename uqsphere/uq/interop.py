@@ -158,13 +158,13 @@ def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Arr
     """
     from SALib.sample import morris
 
-    problem = _unit_problem(salib_problem(inputs)["names"])
+    problem = _unit_problem(inputs.names)
     # the levels 0 and 1 are the ends of a law that may have none
     uniforms = 0.125 + 0.75 * morris.sample(problem, count, num_levels=4, seed=seed)
     return uniforms, inputs.physical(special.ndtri(uniforms))
 
 
-def _unit_problem(names: Any) -> dict[str, Any]:
+def _unit_problem(names: Sequence[str]) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
