@@ -194,7 +194,7 @@ def evaluated_at(
     samples = dict(before)
     end = 0
     for value, part in parts.items():
-        added = rows.rows(end, end + part.count)
+        added = rows.where(slice(end, end + part.count))
         end += part.count
         if value in before:
             added = before[value].join(added)

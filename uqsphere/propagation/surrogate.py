@@ -204,7 +204,7 @@ def _evaluated(
     step = max(PROBE, count // 8)
     while done < count and not stopped:
         try:
-            part = evaluate(design, model, points.rows(done, min(done + step, count)), part=True)
+            part = evaluate(design, model, points.where(slice(done, done + step)), part=True)
         except Interrupted:
             stopped = "interrupted"
             break

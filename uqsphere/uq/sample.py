@@ -133,18 +133,14 @@ class Sample:
 
     def head(self, count: int) -> Sample:
         """The first rows of every replicate."""
-        return self.rows(0, count)
-
-    def rows(self, first: int, end: int) -> Sample:
-        """Rows of every replicate from one place to another."""
-        return self._each(lambda cells: cells[:, first:end])
+        return self.where(slice(count))
 
     def in_blocks(self, count: int) -> Sample:
         """The rows of one replicate as those of `count` replicates."""
         return self._each(lambda cells: cells.reshape(count, -1, *cells.shape[2:]))
 
-    def where(self, which: Flags) -> Sample:
-        """Some rows (n,) of every replicate."""
+    def where(self, which: Flags | slice) -> Sample:
+        """Some rows of every replicate, by flags (n,) or from one place to another."""
         return self._each(lambda cells: cells[:, which])
 
     def _each(self, change: Callable[[Cells], Cells]) -> Sample:
