@@ -258,7 +258,7 @@ def _place_of(law: Law) -> tuple[LocationScale, float, float]:
 @lru_cache(maxsize=16)
 def _pivots(kind: LocationScale, leaving: tuple[float, ...], at: float) -> tuple[Array, Array]:
     generator = np.random.default_rng(len(leaving))
-    return kind.ranked_pivots(np.array(leaving), LAWS, generator, at)
+    return kind.pivots(np.array(leaving), LAWS, generator, at)
 
 
 def _refuted(kind: LocationScale, logs: Array, leaving: Array) -> Flags:

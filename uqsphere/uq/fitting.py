@@ -151,10 +151,20 @@ class LocationScale:
         location, scale = (part[:, None] for part in self.fit(series, leaving))
         return distance(self.form.tails((series - location) / scale)[0], leaving)
 
-    def pivots(self, leaving: Array, count: int, generator: Generator) -> tuple[Array, Array]:
+    def pivots(
+        self, leaving: Array, count: int, generator: Generator, at: float | None = None
+    ) -> tuple[Array, Array]:
         """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY`
         failures.
+
+        at : probability; the pivots then stand for `FINER` times as many, every so-many-th in the
+            order of the strengths' quantile there
         """
+        if at is not None:
+            centre, inverse = self.pivots(leaving, FINER * count, generator)
+            z = self.form.quantile(np.array([at]), np.array([1.0 - at]))
+            order = np.argsort(z * inverse - centre)[FINER // 2 :: FINER]
+            return centre[order], inverse[order]
         if leaving.size > MANY:
             z = self._of_hazard(np.cumsum(1.0 / _at_risk(leaving)))
             second = self.terms(z, np.ones(z.size), leaving - 1.0)[2]
@@ -167,17 +177,6 @@ class LocationScale:
         fits = [self.fit(series[start : start + 1000], leaving) for start in range(0, count, 1000)]
         location, scale = np.concatenate(fits, axis=1)
         return location / scale, 1.0 / scale
-
-    def ranked_pivots(
-        self, leaving: Array, count: int, generator: Generator, at: float
-    ) -> tuple[Array, Array]:
-        """Pivots (count,) that stand for `FINER` times as many: every so-many-th in the order of
-        the strengths' quantile at a probability.
-        """
-        centre, inverse = self.pivots(leaving, FINER * count, generator)
-        z = self.form.quantile(np.array([at]), np.array([1.0 - at]))
-        order = np.argsort(z * inverse - centre)[FINER // 2 :: FINER]
-        return centre[order], inverse[order]
 
 
 #: laws that can be fitted with stopped tests among them
@@ -605,10 +604,7 @@ def possible_laws(
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests = series_behind(law)
     location, scale = _best(tests, kind)
-    if at is None:
-        centre, inverse = kind.pivots(tests.leaving, count, generator)
-    else:
-        centre, inverse = kind.ranked_pivots(tests.leaving, count, generator, at)
+    centre, inverse = kind.pivots(tests.leaving, count, generator, at)
     columns = kind.parameters(location - scale * centre, scale * inverse)
     rows = np.column_stack(list(columns.values())).tolist()
     return (
