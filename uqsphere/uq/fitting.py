@@ -277,7 +277,7 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     return tests
 
 
-def _gathered(values: Array, stopped: Flags, counts: Array) -> StrengthTests:
+def _gathered(values: Array, stopped: Flags, counts: Any = 1.0) -> StrengthTests:
     different, at = np.unique(values, return_inverse=True)
     failures, ended = (
         np.bincount(at, counts * which).astype(float) for which in (~stopped, stopped)
@@ -561,7 +561,7 @@ def count_tests(law: Law) -> int:
 def series_behind(law: Law) -> StrengthTests:
     """The tests behind a law, those included that ended without a failure."""
     values = np.array([*law.data, *law.censored])
-    return _gathered(values, np.arange(values.size) >= len(law.data), np.ones(values.size))
+    return _gathered(values, np.arange(values.size) >= len(law.data))
 
 
 # --- laws that the observations allow -------------------------------------------------------------

@@ -79,7 +79,7 @@ class Law:
 
     @cached_property
     @np.errstate(divide="ignore", over="ignore")
-    def _form(self) -> Form:
+    def form(self) -> Form:
         """The standard form in force: the bounds of a bounded family are its own, and steps are
         left out.
         """
@@ -109,19 +109,14 @@ class Law:
     @property
     def is_steps(self) -> bool:
         """Whether it is a step function, which has no density."""
-        return self._form.pdf is no_density
-
-    @property
-    def mass(self) -> float:
-        """Probability between the bounds before truncation."""
-        return self._form.mass
+        return self.form.pdf is no_density
 
     def tails(self, x: npt.ArrayLike) -> Tails:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
         small; any shape.
         """
         with np.errstate(divide="ignore", over="ignore"):
-            return self._form.tails(self._standard(np.asarray(x, dtype=float)))
+            return self.form.tails(self._standard(np.asarray(x, dtype=float)))
 
     def cdf(self, x: npt.ArrayLike) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
@@ -134,7 +129,7 @@ class Law:
     def _inverse(self, p: Array, q: Array) -> Array:
         """x from p and q = 1 - p, each exact where it is small."""
         with np.errstate(divide="ignore", over="ignore"):
-            return np.clip(self._physical(self._form.quantile(p, q)), self.lower, self.upper)
+            return np.clip(self._physical(self.form.quantile(p, q)), self.lower, self.upper)
 
     def ppf(self, p: npt.ArrayLike) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
@@ -150,14 +145,14 @@ class Law:
         """x with the same probability below it as the standard normal z has, exact in both tails;
         any shape.
         """
-        if self._form is GAUSS:
+        if self.form is GAUSS:
             return self._physical(z)
         return self._inverse(*GAUSS.tails(z))
 
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            density = self._form.pdf(self._standard(x)) / self._whole[1]
+            density = self.form.pdf(self._standard(x)) / self._whole[1]
             if self.family.logarithmic:
                 density = density / x
         return np.where((x >= self.lower) & (x <= self.upper) & (density > 0.0), density, 0.0)
@@ -169,15 +164,9 @@ class Law:
         whole = self
         if not self._untruncated:
             whole = replace(self, lower=-math.inf, upper=math.inf)
-        if min(whole.tail_orders()) > 1.0:
+        if min(whole.form.orders) > 1.0:
             return whole.mean()
         return float(whole.ppf(0.5))
-
-    def tail_orders(self) -> tuple[float, float]:
-        """Order from which on the law in force has no moments, of its lower and its upper tail; inf
-        if it has all.
-        """
-        return self._form.orders
 
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")
@@ -188,8 +177,8 @@ class Law:
         trapezoidal rule converges geometrically; a mean about its own start loses no digits.
         """
         location, scale, _ = self._whole
-        if self._form.moments is not None and not self.family.logarithmic:
-            return location + scale * self._form.moments[0], scale * self._form.moments[1]
+        if self.form.moments is not None and not self.family.logarithmic:
+            return location + scale * self.form.moments[0], scale * self.form.moments[1]
         z = np.linspace(-CERTAIN, CERTAIN, 37 * 128 + 1)
         weights = np.exp(-0.5 * z * z)
         weights /= weights.sum()
@@ -210,14 +199,14 @@ class Law:
 
     def mean(self) -> float:
         """Mean of the law in force; nan or ±inf where there is none."""
-        low, high = (order <= 1.0 for order in self.tail_orders())
+        low, high = (order <= 1.0 for order in self.form.orders)
         if low or high:
             return math.inf * (high - low)  # inf times 0 is nan
         return self._moments[0]
 
     def sd(self) -> float:
         """Standard deviation of the law in force; nan or inf where there is none."""
-        order = min(self.tail_orders())
+        order = min(self.form.orders)
         if order <= 1.0:
             return math.nan
         if order <= 2.0:
@@ -317,7 +306,7 @@ def checked(law: Law) -> Law:
     name = law.family.name
     centre = law.nominal_mean()
     # a truncation that leaves less cannot be told from nothing in floating point
-    if math.isfinite(centre) and not law.mass > 1e-290:
+    if math.isfinite(centre) and not law.form.mass > 1e-290:
         bounds = f"[{law.lower:g}, {law.upper:g}]"
         key = "lower" if math.isfinite(law.lower) else "upper"
         raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)

@@ -180,12 +180,12 @@ def _own_polynomials(law: Law) -> bool:
         or family.observed
         or law.data
         or family.name == "uniform"
-        or min(law.tail_orders()) < math.inf
+        or min(law.form.orders) < math.inf
         or (family.logarithmic and math.isinf(law.upper))
     ):
         return False
     # a normal law of which bounds cut off next to nothing stays one
-    return not (family.name in ("normal", "lognormal") and law.mass > 1.0 - 1e-9)
+    return not (family.name in ("normal", "lognormal") and law.form.mass > 1.0 - 1e-9)
 
 
 @lru_cache(maxsize=256)
