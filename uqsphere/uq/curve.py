@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -123,10 +122,7 @@ def _value(
     places = forward(grid)
     pooled = probabilities.mean(axis=1)[:, None]
 
-    def crossings(curves: Array, every: Any = slice(None)) -> Array:
-        return _crossings(places[every], curves[every], target, least)
-
-    centre = crossings(pooled)[0]
+    centre = _crossings(places, pooled, target, least)[0]
     if math.isnan(centre):
         return absent(
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
@@ -134,17 +130,18 @@ def _value(
             METHOD,
             0,
         )
-    replicates = crossings(probabilities)
+    replicates = _crossings(places, probabilities, target, least)
     half = student(replicates.size) * spread(replicates)
     if folds is not None:
-        half = math.hypot(half, fold_spread(crossings(folds)))
+        half = math.hypot(half, fold_spread(_crossings(places, folds, target, least)))
     if math.isnan(half):
         return absent(
             "too close to an end of the range: some replicates do not reach it", METHOD, 0
         )
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
-    other = crossings(pooled, np.unique([*range(0, grid.size, 2), grid.size - 1]))[0]
+    every = np.unique([*range(0, grid.size, 2), grid.size - 1])
+    other = _crossings(places[every], pooled[every], target, least)[0]
     if not math.isnan(other):
         half += abs(other - centre) / 4.0
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))

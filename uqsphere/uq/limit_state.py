@@ -421,10 +421,8 @@ def draw_breaking(union: Union, count: int, rng: Generator) -> Breaking | None:
             if state.tie.columns:
                 score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
             strengths = strengths.from_normal(score)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(
-                demands > 0.0, strengths / demands, np.where(strengths < demands, 0.0, np.inf)
-            )
+        share = np.where(strengths < demands, 0.0, np.inf)
+        np.divide(strengths, demands, out=share, where=demands > 0.0)
         # rounding must not let the limit that has been drawn as exceeded hold
         shares[j] = np.where(first == j, np.minimum(share, 1.0 - 1e-12), share)
     return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
