@@ -272,8 +272,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             f"{beyond:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
             f"{high * 1e3:.3g} mm): its strength is extrapolated"
         )
-    fitted = "gamma" in posterior.models[0].priors
-    if feed.blows > 1 and not fitted and asked.tests.gamma == "fit":
+    given = asked.tests.gamma != "fit" or "gamma" in posterior.models[0].priors
+    if feed.blows > 1 and not given:
         warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
     warnings.append("energies are those absorbed by the particles; the machine uses more")
 

@@ -72,9 +72,8 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     """
     name = path.name
     lines, notes = tables.read_lines(path, largest)
-    for number, line in lines.items():
-        if re.fullmatch('"[^"]*"', line):  # quotes around a whole line
-            lines[number] = line.strip('"')
+    # without quotes around a whole line
+    lines = {number: re.sub('^"([^"]*)"$', r"\1", line) for number, line in lines.items()}
     live = {number: line for number, line in lines.items() if not is_comment(line)}
     skipped = 1
     if len(live) > _LONG:

@@ -276,7 +276,7 @@ def _moved(wave: Array, gauge: Signal, direction: float) -> Array:
 
 def _samples(values: Array, first: float, count: int) -> Array:
     """Samples from a place between samples on, by cubic splines."""
-    return map_coordinates(values, [first + np.arange(count)], order=3, mode="nearest")
+    return map_coordinates(values, [first + np.arange(count)], mode="nearest")
 
 
 def _at_face(signal: Signal, first: float, count: int, moves: bool) -> Array:
