@@ -45,20 +45,17 @@ def from_library(raw: Any, *kinds: str) -> Any:
     if raw["material"] not in materials:
         raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
     properties = materials[raw["material"]].properties
-    units = {"E": "Pa", "density": "kg/m3", "nu": ""}
-    completed = {
-        key: f"{properties[key].value!r} {unit}" for key, unit in units.items() if key in properties
-    }
-    return {**completed, **raw}
+    keys = [key for key in ("E", "nu", "density") if key in properties]
+    return {**{key: properties[key].text for key in keys}, **raw}
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Aligned columns; the last one is not padded."""
-    widths = [max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1]]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for row in rows:
-        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
-        line = "  ".join([*cells, row[-1]]).rstrip()
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        line = "  ".join(cells).rstrip()
         lines.append("".join(mark if mark.isprintable() else "?" for mark in line))
     return "\n".join(lines)
 
