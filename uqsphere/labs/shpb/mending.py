@@ -5,6 +5,7 @@ marked as unknown, or refused.
 """
 
 import math
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,15 +123,14 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     bar = document.incident_bar
     behind = document.receiving_bar
     start, traces = read_traces(document, folder, changes)
-    for role, gauges in traces.items():
-        traces[role] = [_without_faults(trace) for trace in gauges]
+    traces = [_without_faults(trace) for trace in traces]
     stays = [
         _first_stay(trace, trace.strain - _rest_of(trace.strain), _INCIDENT)
-        for trace in traces["incident"]
+        for trace in traces
+        if trace.role == "incident"
     ]
-    trace = traces["incident"][0]
-    length = len(trace.strain)
-    step = trace.step
+    length = len(traces[0].strain)
+    step = traces[0].step
     passage = (bar.length or math.inf) / bar.wave_speed
     passes = min(stay.last - stay.first + 1 for stay in stays) * step / passage
     if passes > _PASSES:
@@ -139,7 +139,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             "(record.time_unit)?"
         )
     # the first wave of a signal begins before the first echo of a far end
-    limits = dict.fromkeys(traces, length)
+    limits = dict.fromkeys(("incident", "reflected", "receiving"), length)
     if not asked.aligned:
         first = min(stay.first for stay in stays)
         delay = bar.passage + behind.passage + behind.echo
@@ -148,7 +148,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
     signals = {}
     signs = list[float]()
-    for role, gauges in traces.items():
+    for role, gauges in groupby(traces, lambda trace: trace.role):
         end = 0
         turned = []
         names = []

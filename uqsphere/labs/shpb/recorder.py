@@ -257,8 +257,8 @@ class Recorded(NamedTuple):
 
 def read_traces(
     document: RecordDocument, folder: Path, changes: Changes
-) -> tuple[float, dict[str, list[Trace]]]:
-    """The beginning [s] of a record, and its gauges by role as strains over even time.
+) -> tuple[float, list[Trace]]:
+    """The beginning [s] of a record, and its gauges in the order of their roles.
 
     Raises UsageError for columns, units or a clock that cannot be those of a record.
     """
@@ -491,10 +491,8 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
 # --- even steps -----------------------------------------------------------------------------------
 
 
-def _even(
-    time: Array, traces: list[Trace], changes: Changes
-) -> tuple[float, dict[str, list[Trace]]]:
-    """The beginning [s], and the traces by role, on even steps of time."""
+def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, list[Trace]]:
+    """The beginning [s], and the traces on even steps of time."""
     raw = np.array([trace.strain for trace in traces])
     there = np.isfinite(time)
     if not there.all():
@@ -512,7 +510,7 @@ def _even(
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
         changes.add("read", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
-    by_role = dict[str, list[Trace]]()
+    even = []
     filled = 0
     lost = 0
     for trace, values in zip(traces, raw, strict=True):
@@ -527,15 +525,14 @@ def _even(
         filled += (missing & ~unknown).sum()
         lost += unknown.sum()
         strain = np.interp(grid, time[good], values[good])
-        mended = trace._replace(step=step, strain=strain, known=~unknown)
-        by_role.setdefault(trace.role, []).append(mended)
+        even.append(trace._replace(step=step, strain=strain, known=~unknown))
     if filled:
         changes.add("read", f"{filled} missing samples are filled by interpolation")
     if lost:
         changes.add(
             "read", f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
         )
-    return grid[0], by_role
+    return grid[0], even
 
 
 def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
