@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING
 
 from uqsphere.arrays import Array, special
 from uqsphere.study import Study
-from uqsphere.uq import Joint, random_generator, sobol_points
+from uqsphere.uq import Joint, interop, random_generator, sobol_points
 
 if TYPE_CHECKING:
     from chaospy import Distribution
     from pandas import DataFrame
 
     from uqsphere.results import Run
-    from uqsphere.uq.interop import SalibDesign
 
 __all__ = ["analyse", "design", "joint", "sample", "to_salib"]
 
@@ -98,7 +97,7 @@ def analyse(study: Study, frame: DataFrame, *, out: str | Path | None = None) ->
     return run(study, rows=frame, out=out)
 
 
-def to_salib(study: Study, count: int = 1024, *, second: bool = False) -> SalibDesign:
+def to_salib(study: Study, count: int = 1024, *, second: bool = False) -> interop.SalibDesign:
     """The study's own design of Sobol' indices as a problem and rows of SALib.
 
     Parameters
@@ -117,8 +116,6 @@ def to_salib(study: Study, count: int = 1024, *, second: bool = False) -> SalibD
     UsageError
         For inputs that depend on each other.
     """
-    from uqsphere.uq import interop
-
     return interop.to_salib(_inputs(study), count, second=second, seed=study.seed)
 
 
@@ -132,6 +129,4 @@ def joint(study: Study) -> Distribution:
     UsageError
         For inputs that a Student t copula ties.
     """
-    from uqsphere.uq.interop import joint_to_chaospy
-
-    return joint_to_chaospy(_inputs(study))
+    return interop.joint_to_chaospy(_inputs(study))

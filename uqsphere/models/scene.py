@@ -2,29 +2,27 @@
 of answers.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
+from uqsphere.mechanics import closed_form
+from uqsphere.mechanics.as_printed import PaperLine, compare_with_paper, paper_line
+from uqsphere.mechanics.fracture import Fractures, first_fractures, path_of
+from uqsphere.mechanics.integrator import solve as dynamics
+from uqsphere.mechanics.outputs import SceneAnswers, absent_in, merged_answers
+from uqsphere.mechanics.rigs import law_of
+from uqsphere.mechanics.scene import STATUS, Scene, answered
+from uqsphere.mechanics.validity import ValidityCheck, check_validity
 from uqsphere.models.rows import EvaluatedRows, where_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
 from uqsphere.study.study import scene_with
-
-if TYPE_CHECKING:
-    from uqsphere.mechanics.as_printed import PaperLine
-    from uqsphere.mechanics.fracture import Fractures
-    from uqsphere.mechanics.outputs import SceneAnswers
-    from uqsphere.mechanics.scene import Scene
-    from uqsphere.mechanics.validity import ValidityCheck
 
 
 def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
@@ -63,7 +61,6 @@ def paper_lines(study: Study) -> tuple[PaperLine, ...]:
     """
     if not study.model.compare_with_paper:
         return ()
-    from uqsphere.mechanics.as_printed import compare_with_paper, paper_line
 
     return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {})))
 
@@ -103,9 +100,6 @@ def solve_scene(
     threads : all processors if None. No answer depends on it.
     quantities : names of `uqsphere.quantities.OUTPUTS` or demands of the scene; all if None.
     """
-    from uqsphere.mechanics import closed_form
-    from uqsphere.mechanics.integrator import solve as dynamics
-    from uqsphere.mechanics.outputs import merged_answers
 
     integrated = partial(
         dynamics.solve,
@@ -141,7 +135,6 @@ def evaluate_scene(
 
     Raises UsageError where the scene or the request contradicts itself.
     """
-    from uqsphere.mechanics.scene import STATUS, answered
 
     try:
         with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
@@ -173,7 +166,6 @@ def evaluate_scene(
 
 def absent_quantity(study: Study, quantity: str) -> str:
     """Why the scene of a study has no such quantity; empty where it has it."""
-    from uqsphere.mechanics.outputs import absent_in
 
     if study.black_box:
         return ""
@@ -184,7 +176,6 @@ def check_scene(study: Study) -> None:
     """Refuse a quantity that the rig of a study does not have, and a range of the free number at
     whose ends the scene at its means has no answer. Raises UsageError with the place in the study
     and the reason."""
-    from uqsphere.mechanics.scene import STATUS
 
     margins = study.margins
     if margins is not None and margins.solve in INPUTS:
@@ -205,7 +196,6 @@ def checked_rows(study: Study, names: Names, rows: Array, quantities: Names) -> 
     """The validity checks of rows (n, d), with those of the ranges of criteria among the
     quantities.
     """
-    from uqsphere.mechanics.validity import check_validity
 
     scene = scene_at(study, names, rows)
     answers = solve_scene(scene, study.model.fidelity, tolerance=study.model.tolerance)
@@ -227,7 +217,6 @@ def onset_of(study: Study) -> float | None:
     """The peak contact pressure at which the first contact starts to yield, every number at its
     mean [Pa]; None where no onset is known.
     """
-    from uqsphere.mechanics.rigs import law_of
 
     if study.black_box:
         return None
@@ -240,9 +229,8 @@ def later_loading(study: Study, names: Names, rows: Array) -> Array:
     """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is
     harder.
     """
-    from uqsphere.mechanics.integrator import solve
 
-    return solve.later_loading(
+    return dynamics.later_loading(
         scene_at(study, names, rows), tolerance=max(study.model.tolerance, 1e-4)
     )
 
@@ -251,7 +239,6 @@ def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
-    from uqsphere.mechanics.fracture import first_fractures, path_of
 
     paths = [path_of(name, study.demands) for name in quantities]
     return first_fractures(

@@ -32,6 +32,7 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS, Rig
+from uqsphere.mechanics.scene import Scene
 from uqsphere.study.values import (
     Number,
     Observations,
@@ -46,7 +47,6 @@ from uqsphere.units import UNITS, Quantity, shown
 from uqsphere.uq.families import FAMILIES
 
 if TYPE_CHECKING:
-    from uqsphere.mechanics.scene import Scene
     from uqsphere.study.study import Limit
 
 #: what loads the sphere, and the tables that belong to each rig
@@ -512,7 +512,7 @@ class Draft:
     materials: dict[str, str] = field(default_factory=dict)
     sources: dict[str, Property] = field(default_factory=dict)
     record: MeasuredPulse | None = None
-    scene: "Scene | None" = None
+    scene: Scene | None = None
     limits: dict[str, "Limit"] = field(default_factory=dict)
     margins: Margins | None = None
     warnings: dict[tuple[str, str], str] = field(default_factory=dict)

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from pydantic import BaseModel
 
@@ -20,14 +20,11 @@ from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import Demand
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG
+from uqsphere.mechanics.scene import Scene
 from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, ModelChoice
 from uqsphere.study.values import Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint
 from uqsphere.uq.families import Family
-
-if TYPE_CHECKING:
-    from uqsphere.mechanics.scene import Scene
-
 
 #: failure probability that is allowed where a study says nothing at all
 DEFAULT_TARGET = 0.01
@@ -339,10 +336,8 @@ def scene_with(
     *,
     record: MeasuredPulse | None,
     demands: Mapping[str, tuple[str, Mapping[str, float]]] | None = None,
-) -> "Scene":
+) -> Scene:
     """The scenes of some columns (n,) under the words of a study; raises ValueError as `Scene`."""
-    from uqsphere.mechanics.scene import Scene
-
     return Scene(
         columns=columns,
         rig=options.get("rig.kind", DEFAULT_RIG),
