@@ -386,7 +386,7 @@ def opened(table: Observations | PulseTable, draft: Draft, key: str = "file") ->
         yield cells
         cells.finish()
     except TableError as fault:
-        raise Fault(str(fault), key if key == "draws" else fault.key or key) from None
+        raise Fault(str(fault), fault.key or key) from None
     except Fault:
         raise
     except (UqsphereError, OSError, RuntimeError, ValueError):
