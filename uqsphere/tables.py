@@ -223,7 +223,7 @@ class Table:
     notes: list[str] = field(default_factory=list)
     decimal: str = ""
     apart: set[int] = field(default_factory=set)
-    faults: dict[tuple[str, str], list[int]] = field(default_factory=dict)
+    faults: dict[tuple[str, str], dict[int, None]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -412,8 +412,7 @@ class Table:
         """
         lines = np.array(self.lines)[wrong].tolist()
         if lines:
-            lines = [*self.faults.get((key, message), []), *lines]
-            self.faults[key, message] = list(dict.fromkeys(lines))
+            self.faults.setdefault((key, message), {}).update(dict.fromkeys(lines))
 
     def flags(
         self,
@@ -435,7 +434,7 @@ class Table:
             self.refuse("", message, [k])
         if self.faults:
             faults = self.faults.items()
-            messages = [f"{self.name}: {_lines(lines)}: {text}" for (_, text), lines in faults]
+            messages = [f"{self.name}: {_lines([*lines])}: {text}" for (_, text), lines in faults]
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:

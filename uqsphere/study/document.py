@@ -306,10 +306,11 @@ def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: str) -> 
     return number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
 
 
-def _with_numbers(table: str, words: type[TomlTable]) -> type[TomlTable]:
+def _with_numbers(table: str) -> tuple[type[TomlTable], TomlTable]:
     """A table with the numbers of the scene that it can have: a word where one stands for it,
-    fixed, or a law.
+    fixed, or a law; and the table without any.
     """
+    words = table_in(Words.model_fields[table].annotation)
     numbers = dict[str, Any]()
     for name, quantity in numbers_of(table).items():
         fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
@@ -322,7 +323,8 @@ def _with_numbers(table: str, words: type[TomlTable]) -> type[TomlTable]:
             partial(_read, quantity=quantity, place=f"{table}.{name}"), json_schema_input_type=kinds
         )
         numbers[name] = Annotated[Any, mark], keyed(quantity.meaning)
-    return create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
+    kind = create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
+    return kind, kind.model_construct()
 
 
 class DependenceTable(TomlTable):
@@ -415,9 +417,8 @@ def limit_of(path: str) -> str | None:
     >>> limit_of("limits.crushing.strength"), limit_of("striker.speed")
     ('crushing', None)
     """
-    if not path.startswith("limits."):
-        return None
-    return path.removeprefix("limits.").rpartition(".")[0]
+    limit = re.fullmatch(r"limits\.(.+)\..+", path)
+    return limit[1] if limit else None
 
 
 class Margins(TomlTable):
@@ -479,10 +480,7 @@ class Words(TomlTable):
 
 
 #: the tables of the scene: their words stand above, their numbers are those of `INPUTS`
-_kinds = {
-    name: _with_numbers(name, table_in(Words.model_fields[name].annotation)) for name in SCENE
-}
-_scene: dict[str, Any] = {name: (kind, kind.model_construct()) for name, kind in _kinds.items()}
+_scene: dict[str, Any] = {name: _with_numbers(name) for name in SCENE}
 Document = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
 
 
@@ -502,10 +500,10 @@ class Draft:
     scene : the one row at its means.
     """
 
-    folder: Path = Path()
-    data: dict[str, Any] = field(default_factory=dict)
+    folder: Path
+    data: dict[str, Any]
     document: Words = field(default_factory=Document.model_construct)
-    box: bool = False
+    box: bool
     plastic: bool = False
     numbers: dict[str, Number] = field(default_factory=dict)
     options: dict[str, Json] = field(default_factory=dict)
