@@ -56,7 +56,7 @@ def test_shipped_study(name: str, tmp_path: Path) -> None:
     study = load_study(path)
     usual = ("Real particles are not spheres", "the tests were quasi-static")
     assert [text for text in study.warnings if not any(part in text for part in usual)] == []
-    assert json.loads(json.dumps(study.resolved(), allow_nan=False))["order"] == list(
+    assert json.loads(json.dumps(study.meaning(), allow_nan=False))["order"] == list(
         study.inputs().names
     )
     assert set(study.at_means()) == set(study.fixed) | set(study.random)

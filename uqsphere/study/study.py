@@ -200,13 +200,7 @@ class Study:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments
         or layout.
         """
-        text = json.dumps(
-            self._meaning(),
-            sort_keys=True,
-            separators=(",", ":"),
-            allow_nan=False,
-            ensure_ascii=True,
-        )
+        text = json.dumps(self.meaning(), sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def changed_keys(self, other: Self) -> list[str]:
@@ -217,17 +211,12 @@ class Study:
         >>> Study(inputs={"x": 1.0}, **box).changed_keys(Study(inputs={"x": 2.0}, **box))
         ['x']
         """
-        before, after = (_keys(study._meaning()) for study in (self, other))
+        before, after = (_keys(study.meaning()) for study in (self, other))
         changed = [
             key for key in {**before, **after} if before.get(key, ...) != after.get(key, ...)
         ]
         # the order of the variables follows from the variables
         return [key for key in changed if key != "order"] or changed
-
-    def _meaning(self) -> dict[str, Json]:
-        return {
-            key: value for key, value in self.resolved().items() if key not in ("title", "gauges")
-        }
 
     @property
     def demands(self) -> dict[str, tuple[str, Mapping[str, float]]]:
@@ -244,7 +233,8 @@ class Study:
         """
         laws = dict(self.random)
         for limit in self.limits:
-            for part, value in (("strength", limit.strength), ("model_factor", limit.model_factor)):
+            for part in ("strength", "model_factor"):
+                value = getattr(limit, part)
                 if isinstance(value, Law):
                     laws[f"limits.{limit.name}.{part}"] = value
         return laws
@@ -262,9 +252,11 @@ class Study:
         """
         return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
-    def resolved(self) -> dict[str, Json]:
-        """The study as plain JSON values: SI, every default explicit, no infinities."""
-        beside = {"path", "text", "warnings", "caveats", "overrides", "files"}
+    def meaning(self) -> dict[str, Json]:
+        """What the answers follow from, as plain JSON values: SI, every default explicit, no
+        infinities.
+        """
+        beside = {"title", "gauges", "path", "text", "warnings", "caveats", "overrides", "files"}
         content: dict[str, Json] = {
             e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside
         }
