@@ -437,7 +437,6 @@ def _check(options: Namespace) -> None:
     uqsphere check rock.toml --set sphere.radius='12 mm'
     uqsphere check - < rock.toml
     """
-
     from uqsphere.models.scene import check_scene
     from uqsphere.report.study import cost, described
 
@@ -482,7 +481,6 @@ def _run(options: Namespace) -> int:
     uqsphere run ishigami.toml --model ishigami.py:ishigami -j 4
     uqsphere run ishigami.toml --model ishigami.py:ishigami --dask tcp://head:8786
     """
-
     study = _loaded(options)
     folder = _folder(options, "results")
     if options.dask is not None and not study.black_box:
@@ -510,7 +508,6 @@ def _sweep(options: Namespace) -> int:
     uqsphere sweep chute.toml --over target.thickness="10 mm, 15 mm, 25 mm"
     uqsphere sweep chute.toml --over sphere.radius="8 mm, 10 mm" --over rig.angle="60 deg, 90 deg"
     """
-
     from uqsphere.models.black_box import read_model
     from uqsphere.report.sweep import (
         finished_run,
@@ -572,7 +569,6 @@ def _report(options: Namespace) -> None:
 
     uqsphere report rock-results
     """
-
     from uqsphere.report import write_page
 
     print(f"wrote {write_page(options.folder)}")
@@ -584,7 +580,6 @@ def _compare(options: Namespace) -> None:
     uqsphere compare rock-results slower
     uqsphere compare rock-results slower --csv changes.csv
     """
-
     from uqsphere.report.compare import compare, comparison_text
     from uqsphere.results import open_run
 
@@ -602,7 +597,6 @@ def _history(options: Namespace) -> None:
     uqsphere history rock.toml
     uqsphere history rock.toml --out rock-history
     """
-
     from uqsphere.report.history import history, history_rows, write_history
     from uqsphere.results.folder import locked
 
@@ -637,7 +631,6 @@ def _verify(options: Namespace) -> None:
     uqsphere verify rock-results
     uqsphere verify rock-results --again
     """
-
     from uqsphere.errors import FolderError
     from uqsphere.results import open_run
     from uqsphere.results.folder import damaged_files
@@ -676,7 +669,6 @@ def _list(options: Namespace) -> None:
 
     uqsphere list materials
     """
-
     from uqsphere.report.study import listing
 
     print(listing(options.what))
@@ -688,7 +680,6 @@ def _schema(options: Namespace) -> None:
     uqsphere schema > study.json
     uqsphere schema results > results.json
     """
-
     if options.what == "results":
         from uqsphere.results.types import Results
 
@@ -705,7 +696,6 @@ def _bench(options: Namespace) -> None:
 
     uqsphere bench --rows 256
     """
-
     from uqsphere.bench import bench_text
 
     print(bench_text(options.study, rows=options.rows))

@@ -117,14 +117,16 @@ def evaluate(
                 )
         answers = opened.evaluate(names, rows, columns)
     if not answers.good.all():
-        count = int((~answers.good).sum())
         warnings.warn(
-            f"{count} of {len(rows)} rows have no answer; the first: {answers.note}", stacklevel=2
+            f"{(~answers.good).sum()} of {len(rows)} rows have no answer; the first: "
+            f"{answers.note}",
+            stacklevel=2,
         )
-    checks = [] if study.black_box else checked_rows(study, names, rows[:_CHECKED], columns)
-    for check in checks:
-        if check.grade == _FAILURE:
-            warnings.warn(f"outside the validity range of the model: {check.text}", stacklevel=2)
+    if not study.black_box:
+        for check in checked_rows(study, names, rows[:_CHECKED], columns):
+            if check.grade == _FAILURE:
+                text = f"outside the validity range of the model: {check.text}"
+                warnings.warn(text, stacklevel=2)
     table = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
     table["censored"] = np.asarray(answers.censored.any(axis=1))
     return table

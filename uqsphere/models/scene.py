@@ -61,7 +61,6 @@ def paper_lines(study: Study) -> tuple[PaperLine, ...]:
     """
     if not study.model.compare_with_paper:
         return ()
-
     return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {})))
 
 
@@ -100,7 +99,6 @@ def solve_scene(
     threads : all processors if None. No answer depends on it.
     quantities : names of `uqsphere.quantities.OUTPUTS` or demands of the scene; all if None.
     """
-
     integrated = partial(
         dynamics.solve,
         fidelity=fidelity,
@@ -135,7 +133,6 @@ def evaluate_scene(
 
     Raises UsageError where the scene or the request contradicts itself.
     """
-
     try:
         with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
             answers = solve_scene(
@@ -166,7 +163,6 @@ def evaluate_scene(
 
 def absent_quantity(study: Study, quantity: str) -> str:
     """Why the scene of a study has no such quantity; empty where it has it."""
-
     if study.black_box:
         return ""
     return absent_in(scene_of(study, {}), quantity)
@@ -196,7 +192,6 @@ def checked_rows(study: Study, names: Names, rows: Array, quantities: Names) -> 
     """The validity checks of rows (n, d), with those of the ranges of criteria among the
     quantities.
     """
-
     scene = scene_at(study, names, rows)
     answers = solve_scene(scene, study.model.fidelity, tolerance=study.model.tolerance)
     return check_validity(scene, answers, quantities)
@@ -217,7 +212,6 @@ def onset_of(study: Study) -> float | None:
     """The peak contact pressure at which the first contact starts to yield, every number at its
     mean [Pa]; None where no onset is known.
     """
-
     if study.black_box:
         return None
     scene = scene_of(study, {})
@@ -229,7 +223,6 @@ def later_loading(study: Study, names: Names, rows: Array) -> Array:
     """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is
     harder.
     """
-
     return dynamics.later_loading(
         scene_at(study, names, rows), tolerance=max(study.model.tolerance, 1e-4)
     )
@@ -239,7 +232,6 @@ def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
-
     paths = [path_of(name, study.demands) for name in quantities]
     return first_fractures(
         scene_at(study, names, rows), shares, [path for path in paths if path is not None]
