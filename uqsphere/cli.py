@@ -72,7 +72,7 @@ def program() -> None:
 
 def main(argv: Sequence[str]) -> int:
     """Run a command; returns its exit code."""
-    if argv and argv[0] in LABS and _labs_installed():
+    if argv and argv[0] in LABS and find_spec("uqsphere.labs"):
         command = import_module(f"uqsphere.labs.{argv[0]}.cli").main
         return _guarded(lambda: command(argv[1:]))
     parser = _parser()
@@ -122,10 +122,6 @@ def _guarded(command: Callable[[], int]) -> int:
             "UQSPHERE_DEBUG=1 shows where it happened."
         )
         return 1
-
-
-def _labs_installed() -> bool:
-    return find_spec("uqsphere.labs") is not None
 
 
 # --- the parser -----------------------------------------------------------------------------------
@@ -233,7 +229,7 @@ def _parser() -> ArgumentParser:
         metavar="FILE",
         help="time per row and error of the quantities of this study, by tolerance",
     )
-    if _labs_installed():
+    if find_spec("uqsphere.labs"):
         for name, text in LABS.items():
             commands.add_parser(name, help=text)
     return parser

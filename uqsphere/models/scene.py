@@ -73,10 +73,10 @@ def _library_onset(study: Study) -> dict[str, float]:
     """Onset and hardness that the library has of a sphere, for the check of a contact that is taken
     for elastic.
     """
-    given = {**study.fixed, **study.random}
+    given = {*study.fixed, *study.random, *study.options}
     names = ("onset_pressure", "hardness")
     material = library()["sphere"].get(study.materials.get("sphere", ""))
-    decided = "sphere.onset_pressure" in given or "contact.law" in study.options
+    decided = given & {"sphere.onset_pressure", "contact.law"}
     if decided or material is None or not material.properties.keys() >= {*names}:
         return {}
     return {f"sphere.{name}": material.properties[name].value for name in names}
