@@ -285,8 +285,10 @@ def _called(model: Model, columns: dict[str, Array], probed: bool = False) -> Ar
             return np.array([np.nan])
         places = np.linspace(0, n - 1, PROBES).astype(int)
         if not probed and not any(np.isfinite(of_rows(k, k + 1)).any() for k in places):
-            text = f"{type(error).__name__}: {as_text(error)}"
-            raise UsageError(f"the model raises at each of {PROBES} rows: {text}") from error
+            raise UsageError(
+                f"the model raises at each of {PROBES} rows: {type(error).__name__}: "
+                f"{as_text(error)}"
+            ) from error
         return np.concatenate([of_rows(0, n // 2), of_rows(n // 2, n)])
 
 

@@ -399,8 +399,10 @@ def _new(options: Namespace) -> None:
         print("\n".join(shipped))
         return
     if template not in shipped:
-        hint = suggestion(template, shipped)
-        raise UsageError(f"unknown template {template!r}{hint} (known: {', '.join(shipped)})")
+        raise UsageError(
+            f"unknown template {template!r}{suggestion(template, shipped)} (known: "
+            f"{', '.join(shipped)})"
+        )
     source = shipped[template]
     target = options.output or Path(source.name)
     if not target.parent.is_dir():
@@ -445,8 +447,9 @@ def _check(options: Namespace) -> None:
 def _exit_code(runs: Iterable[Any]) -> int:
     """NOT_MET if any decision with a target is not met."""
     decisions = chain.from_iterable(run.results.decisions for run in runs)
-    missed = any(each.target is not None and each.verdict != "met" for each in decisions)
-    return NOT_MET if missed else 0
+    if any(each.target is not None and each.verdict != "met" for each in decisions):
+        return NOT_MET
+    return 0
 
 
 def _computed(
@@ -530,8 +533,14 @@ def _sweep(options: Namespace) -> int:
         made = _points_here(options, sweep, waiting, stop)
         if client is not None:
             model = None if options.model is None else read_model(options.model)
-            task = (model, options.processes or 1, _budget(options))
-            start = partial(client.submit, point_files, *task, pure=False)
+            start = partial(
+                client.submit,
+                point_files,
+                model,
+                options.processes or 1,
+                _budget(options),
+                pure=False,
+            )
             made = run_on_cluster(sweep, waiting, start, stop)
         for point in made:
             run = finished_run(sweep, point)
@@ -554,8 +563,7 @@ def _points_here(
         if stop():
             return
         values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
-        number = sweep.points.index(point) + 1
-        tell(f"point {number} of {len(sweep.points)}: {values}")
+        tell(f"point {sweep.points.index(point) + 1} of {len(sweep.points)}: {values}")
         _computed(options, point.study, sweep.folder / point.name, stop)
         yield point
 
@@ -656,8 +664,10 @@ def _verify(options: Namespace) -> None:
             "processor or with another version of NumPy"
         )
     else:
-        differences = comparison_text([before, after], ["before", "again"])
-        raise FolderError(f"run again, the answers differ:\n{differences}")
+        raise FolderError(
+            "run again, the answers differ:\n"
+            f"{comparison_text([before, after], ['before', 'again'])}"
+        )
 
 
 def _list(options: Namespace) -> None:

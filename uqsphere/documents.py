@@ -104,8 +104,8 @@ def suggestion(word: object, known: Iterable[str]) -> str:
 
 def unknown(what: str, word: object, known: Collection[str]) -> str:
     """The message for a word that is none of those known."""
-    first = [*known][:40]
-    return f"unknown {what} {shown(word)}, known: {one_of(first)}{suggestion(word, known)}"
+    near = suggestion(word, known)
+    return f"unknown {what} {shown(word)}, known: {one_of([*known][:40])}{near}"
 
 
 # --- text, syntax, lines --------------------------------------------------------------------------
@@ -321,9 +321,8 @@ def load_document(path: Path, kind: type[Kind]) -> Kind:
     read.
     """
     text = read_text(path)
-    data = parse_text(text, path)
     try:
-        return kind.model_validate(data)
+        return kind.model_validate(parse_text(text, path))
     except ValidationError as error:
         raise refusal(path, text, faults_of(kind, error)) from None
 
@@ -342,8 +341,9 @@ def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
     above: set[Place] = set()  # every place on the way to a fault
     for number, entry in enumerate(error.errors(include_url=False)):
         if len(faults) >= MOST_FAULTS:
-            rest = error.error_count() - number
-            faults[entry["loc"]] = Fault(f"and {rest:,} more, which are not listed", *entry["loc"])
+            faults[entry["loc"]] = Fault(
+                f"and {error.error_count() - number:,} more, which are not listed", *entry["loc"]
+            )
             break
         # of a place pydantic names members of unions as well, "literal['abort', ...]", and keys,
         # "[key]"

@@ -47,5 +47,6 @@ def read_given(path: Path, largest: int) -> bytes:
     except FileNotFoundError:
         raise AccessError(f"{name}: there is no such file") from None
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise AccessError(f"{name}: cannot be read: {reason}") from None
+        raise AccessError(
+            f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None

@@ -131,8 +131,7 @@ def format_conservative(value: float, name: str, *, least: bool) -> str:
     ['0.45 m/s', '0.46 m/s']
     """
     unit, factor = display_unit(name, value)
-    rounded = round_conservative(value, name, least=least) * factor
-    return f"{rounded:g} {unit}".rstrip()
+    return f"{round_conservative(value, name, least=least) * factor:g} {unit}".rstrip()
 
 
 def _power(value: float) -> int:
@@ -149,8 +148,7 @@ def _significant(value: float, digits: int, direction: int) -> float:
     step = 10.0 ** (_power(value) - digits + 1)
     # what is a round number but for the last bits stays what it is
     whole = (round, math.ceil, math.floor)[direction]
-    steps = whole(value / step - 1e-9 * direction)
-    return float(f"{steps * step:.{digits}g}")
+    return float(f"{whole(value / step - 1e-9 * direction) * step:.{digits}g}")
 
 
 def format_probability(

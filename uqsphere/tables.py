@@ -263,8 +263,10 @@ class Table:
                 return int(column) - 1
             same = [h for h in self.headings if _BRACKET.sub("", h).strip() == column]
             if len(same) == 1 and dimension != "number":
-                wrong = _unknown_unit(same[0], dimension)
-                raise TableError(f"{same[0]!r}: {wrong} ({typed_units(dimension)})", key)
+                raise TableError(
+                    f"{same[0]!r}: {_unknown_unit(same[0], dimension)} ({typed_units(dimension)})",
+                    key,
+                )
             often = "not"
             hint = suggestion(column, names)
         hint = hint or _other_sheets(self.notes)
@@ -452,8 +454,10 @@ class Table:
             pasted |= len(again) > 1 or len(set(self.rows[again[0]])) > 2
         if pasted:
             verb = "repeats" if len(again) == 1 else "repeat"
-            lines = _lines([self.lines[k] for k in again])
-            self.notes.append(f"{self.name}: {lines} {verb} earlier rows: pasted twice?")
+            self.notes.append(
+                f"{self.name}: {_lines([self.lines[k] for k in again])} {verb} earlier rows: "
+                "pasted twice?"
+            )
         self._note_sums()
 
     def _note_sums(self) -> None:

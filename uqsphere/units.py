@@ -192,9 +192,8 @@ def nearest_unit(text: str, dimension: str) -> str:
     near = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
     if len(near) != 1:
         return ""
-    prefix = near[0][0]
     stem = near[0][1:]
-    if prefix in "mM" and stem[:1].isalpha() and stem == plain[1:]:
+    if near[0][0] in "mM" and stem[:1].isalpha() and stem == plain[1:]:
         return ""  # another power of ten
     return near[0]
 
@@ -209,8 +208,10 @@ def alien(text: str) -> str:
     """
     for character in text:
         if not character.isascii() and character not in _TYPED:
-            name = unicodedata.name(character, "not a letter")
-            return f"; its character U+{ord(character):04X} is {name}"
+            return (
+                f"; its character U+{ord(character):04X} is "
+                f"{unicodedata.name(character, 'not a letter')}"
+            )
     return ""
 
 

@@ -113,10 +113,9 @@ def call_black_box(box: BlackBox, names: Names, rows: Array, outputs: Names) -> 
     Raises ModelRaised with what the model raised, and where; ModelError if it returned something of
     the wrong form.
     """
-    columns = dict(zip(names, rows.T.copy(), strict=True))
     try:
         with np.errstate():  # what it sets of NumPy's errors is set back
-            returned = box(columns)
+            returned = box(dict(zip(names, rows.T.copy(), strict=True)))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, and exceptions of the model's own

@@ -109,10 +109,10 @@ def evaluate(
             low, high = (-np.inf, np.inf) if study.black_box else INPUTS[name].plausible
             far = column[(column < low / _FAR) | (column > high * _FAR)]
             if far.size:
-                usual = f"{format_value(low, name)} to {format_value(high, name)}"
                 warnings.warn(
-                    f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: {usual}). Values "
-                    "are in SI; is the unit right?",
+                    f"{name} = {far[0]:g} {INPUTS[name].unit} is unusual (usual: "
+                    f"{format_value(low, name)} to {format_value(high, name)}). Values are in SI; "
+                    "is the unit right?",
                     stacklevel=2,
                 )
         answers = opened.evaluate(names, rows, columns)

@@ -251,13 +251,9 @@ class Model:
                 reason = f"{reason}, too large"
             note = f"{failures.get(k, reason)} {where_of(self.inputs, whole[k])}"
             values[failed] = np.nan
-        evaluated = EvaluatedRows(
-            values=values,
-            censored=np.zeros(values.shape, dtype=bool),
-            status=np.where(failed, FAILED, 0),
-            note=note,
-        )
-        return evaluated, together
+        censored = np.zeros(values.shape, dtype=bool)
+        status = np.where(failed, FAILED, 0)
+        return EvaluatedRows(values=values, censored=censored, status=status, note=note), together
 
     def check_stop(self) -> None:
         """Raise Interrupted once `stop` is true."""

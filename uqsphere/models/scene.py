@@ -178,8 +178,10 @@ def check_scene(study: Study) -> None:
         for value in margins.between:
             code = int(scene_of(study, {margins.solve: np.array([value])}).status[0])
             if code:
-                text = f"{format_value(value, margins.solve)} for {margins.solve}: {STATUS[code]}"
-                raise UsageError(f"margins.between: {text}")
+                raise UsageError(
+                    f"margins.between: {format_value(value, margins.solve)} for {margins.solve}: "
+                    f"{STATUS[code]}"
+                )
     requested = {limit.quantity: f"limits.{limit.name}.quantity" for limit in study.limits}
     requested |= dict.fromkeys(study.analysis.quantities, "analysis.quantities")
     for name, place in requested.items():

@@ -214,10 +214,9 @@ def _library(draft: Draft) -> Faults:
         if table != "insert":
             draft.materials[table] = name
         properties = materials[name].properties
-        entries = numbers_of(table)
         known |= onset in properties
         for key, entry in properties.items():
-            path = getattr(entries.get(key), "name", None)
+            path = getattr(numbers_of(table).get(key), "name", None)
             if path and path not in numbers and (table == "sphere" or key not in LAW):
                 numbers[path], sources[path] = Number(value=entry.value), entry
         E = properties.get("E")
@@ -311,8 +310,9 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
             if keys[0].endswith("ing_length"):
                 ways.append("infinite = true")
             meaning = f" ({entries[keys[0]].meaning})" if keys[0] in entries else ""
-            message = f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}"
-            yield Fault(message, f"{table}.{keys[0]}")
+            yield Fault(
+                f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}", f"{table}.{keys[0]}"
+            )
 
 
 # --- 4: what contradicts, random numbers at their nominal means -----------------------------------
@@ -431,8 +431,7 @@ def _pulse(draft: Draft) -> Faults:
     if scene is None or not scene.by_wave:
         return
     across = 2.0 * draft.mean("sphere.radius")
-    bars = draft.mean("bars.diameter")
-    if across > bars:
+    if across > draft.mean("bars.diameter"):
         yield Fault(
             "the sphere diameter exceeds the bar diameter; bars.diameter must be at least "
             f"{format_value(across, 'bars.diameter')}",
@@ -488,11 +487,9 @@ def _gauges(draft: Draft) -> Faults:
                 f"{place}.bar",
             )
         elif gauge.position > length:
-            here = format_value(gauge.position, path)
-            end = format_value(length, path)
             yield Fault(
-                f"the distance from the sphere must be at most {end}, the length of the {name}, "
-                f"not {here}",
+                f"the distance from the sphere must be at most {format_value(length, path)}, the "
+                f"length of the {name}, not {format_value(gauge.position, path)}",
                 place,
             )
 

@@ -153,8 +153,9 @@ def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: str) -> 
     """Warn of a value (SI) outside the usual range of its quantity."""
     if not quantity.plausible[0] <= value <= quantity.plausible[1]:
         text, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
-        message = f"{text} is unusual (usual: {low} to {high}). Is the unit right?"
-        draft.warn(place, message, holds="unit")
+        draft.warn(
+            place, f"{text} is unusual (usual: {low} to {high}). Is the unit right?", holds="unit"
+        )
 
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
@@ -381,8 +382,9 @@ def opened(table: Observations | PulseTable, draft: Draft, key: str = "file") ->
             near = suggestion(name, [item.name for item in home.glob("*") if item.exists()])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
         draft.files[relative.as_posix()] = path
-        decimal = getattr(table, "decimal", None) or ""
-        cells = read_table(path, decimal=decimal, sheet=table.sheet or "")
+        cells = read_table(
+            path, decimal=getattr(table, "decimal", None) or "", sheet=table.sheet or ""
+        )
         yield cells
         cells.finish()
     except TableError as fault:
@@ -442,8 +444,9 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
         for end in (table.lower, table.upper)
     ]
     warn_of_rows(cells, rows, columns["column"], stopped, draft, place)
-    law = fit(columns["column"], stopped, table, table.fit, bounds)
-    return Number(value=law, synthetic=table.synthetic)
+    return Number(
+        value=fit(columns["column"], stopped, table, table.fit, bounds), synthetic=table.synthetic
+    )
 
 
 #: distributions of draws: whether each is a Weibull distribution
@@ -604,7 +607,7 @@ def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
     lab's.
     """
     with opened(table, draft) as cells:
-        columns = table.columns or tuple(cells.headings[:2])
+        columns = table.columns or cells.headings[:2]
         if len(columns) != 2:
             raise Fault(
                 "a column of time and one of strain or volts are required, not "
