@@ -334,10 +334,9 @@ class Failure:
     design_point: Mapping[str, float]
 
     def __repr__(self) -> str:
-        p = self.probability
         return (
-            f"<Failure: {_shown(p)}, {'sure' if self.sure else 'not sure'}, {p.evaluations:,} "
-            "model runs>"
+            f"<Failure: {_shown(self.probability)}, {'sure' if self.sure else 'not sure'}, "
+            f"{self.probability.evaluations:,} model runs>"
         )
 
     def to_frame(self) -> DataFrame:

@@ -328,13 +328,12 @@ class Table:
             wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
-            first = next(iter(units))
             more = ""
             if key in _UNIT_KEYS:
-                more = f', or add {unit_key} = "{first}"'
+                more = f', or add {unit_key} = "{next(iter(units))}"'
             raise TableError(
                 f"the unit of the column {heading!r} is missing. Write it in the heading, "
-                f'"{heading} [{first}]"{more} ({allowed})',
+                f'"{heading} [{next(iter(units))}]"{more} ({allowed})',
                 key,
             )
         if unit not in (None, *units):

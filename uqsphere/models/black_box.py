@@ -36,7 +36,6 @@ class ModelFile:
 
         Raises ModelError if the file raises, UsageError if it has no such function.
         """
-        path = as_text(self.path)
         module = ModuleType(f"uqsphere_black_box_{self.path.stem}")
         module.__file__ = str(self.path)
         sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
@@ -48,14 +47,15 @@ class ModelFile:
             raise
         except BaseException as error:  # SystemExit, and exceptions of the model's own
             raise ModelError(
-                f"{path} raised {describe_error(error)} while it was loaded"
+                f"{as_text(self.path)} raised {describe_error(error)} while it was loaded"
             ) from error
         function: BlackBox | None = getattr(module, self.name, None)
         if not callable(function):
             members = vars(module).items()
             names = [key for key, member in members if key[0] != "_" and inspect.isfunction(member)]
             raise UsageError(
-                f"{path} has no function {self.name!r}; its functions: {', '.join(names) or 'none'}"
+                f"{as_text(self.path)} has no function {self.name!r}; its functions: "
+                f"{', '.join(names) or 'none'}"
             )
         return function
 

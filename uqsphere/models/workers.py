@@ -195,17 +195,18 @@ class _Process:
             reply: Timed = pickle.load(replies)
         except Exception as error:  # the end of a stream, or garbage in it
             self.close()
-            code = self._process.returncode
             if not self._started:
                 raise UsageError(
                     "the Python process of the model ended before the model was called (exit code "
-                    f"{code})"
+                    f"{self._process.returncode})"
                 ) from error
             if self._late:
                 raise NoAnswer(
                     f"the model took longer than analysis.time_limit ({limit:g} s)"
                 ) from error
-            raise Died(f"the model ended the process it ran in (exit code {code})") from error
+            raise Died(
+                f"the model ended the process it ran in (exit code {self._process.returncode})"
+            ) from error
         finally:
             timer.cancel()
         if isinstance(reply, BaseException):

@@ -510,9 +510,9 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0
     for partner in reversed(draft.scene.there):
-        table = partner.table
         body = [
-            draft.mean(f"{table}.insert_{key}", draft.mean(f"{table}.{key}")) for key in ("E", "nu")
+            draft.mean(f"{partner.table}.insert_{key}", draft.mean(f"{partner.table}.{key}"))
+            for key in ("E", "nu")
         ]
         if np.allclose(body, platens, rtol=1e-9):
             face = partner.face

@@ -156,12 +156,12 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     diameter = None
     if mode.size_law == "particle":
         diameter = 2.0 * draft.mean("sphere.radius")
-    value = draft.mean(strength_name(limit.name))
+    path = strength_name(limit.name)
     usual = like.range_of(mode.strength, diameter)
     hint = ""
     if mode.strength == "tensile_strength":
         hint = ". Is it a compressive strength? Enter the tensile one, commonly a tenth of it"
-    _compare(draft, strength_name(limit.name), limit.quantity, value, usual, hint)
+    _compare(draft, path, limit.quantity, draft.mean(path), usual, hint)
 
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
