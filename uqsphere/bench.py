@@ -67,8 +67,11 @@ def scattered_scene(count: int, *, mu: float = 3e-3, theta: float = 3.0) -> Scen
 def peak_pressure(scene: Scene, largest: Array) -> Array:
     """p_max (n,) [Pa] at the largest approaches (n,) over alpha_c."""
     scales = scene.scales
-    force = scales.force * largest**1.5
-    return np.asarray(contact.pressure_at_force(force, scales.modulus, scales.effective_radius))
+    return np.asarray(
+        contact.pressure_at_force(
+            scales.force * largest**1.5, scales.modulus, scales.effective_radius
+        )
+    )
 
 
 def _by_scipy(scene: Scene, tolerance: float) -> Array:

@@ -652,8 +652,7 @@ def _verify(options: Namespace) -> None:
     before = open_run(options.folder)
     text = (options.folder / "study.toml").read_text(encoding="utf-8")
     place = options.folder / "files" / "study.toml"
-    study = load_study(place, before.results.study.overrides, text=text)
-    after = run(study, options.model)
+    after = run(load_study(place, before.results.study.overrides, text=text), options.model)
     stored = before.results.answers
     again = after.results.answers
     if again == stored:

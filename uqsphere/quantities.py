@@ -44,11 +44,12 @@ def format_bounds(quantity: Quantity) -> str:
     >>> format_bounds(lookup("sphere.nu"))
     'Poisson ratio of the sphere must be between -1 and 0.5 (exclusive)'
     """
-    low, high = (format_value(end, quantity.name) for end in (quantity.lower, quantity.upper))
+    low = format_value(quantity.lower, quantity.name)
     name = quantity.meaning.partition(":")[0]
     if not math.isfinite(quantity.upper):
         return f"{name} must be above {low}"
     ends = "inclusive" if quantity.closed else "exclusive"
+    high = format_value(quantity.upper, quantity.name)
     return f"{name} must be between {low} and {high} ({ends})"
 
 

@@ -168,8 +168,9 @@ class _Process:
     """A process of this machine that calls the model; it ends with everything it has started."""
 
     def __init__(self, packed: bytes) -> None:
-        path = [entry or os.getcwd() for entry in sys.path]
-        program = _PROGRAM.format(path=path, parent=os.getpid())
+        program = _PROGRAM.format(
+            path=[entry or os.getcwd() for entry in sys.path], parent=os.getpid()
+        )
         self._process: Any = subprocess.Popen(
             [sys.executable, "-c", program],
             stdin=subprocess.PIPE,

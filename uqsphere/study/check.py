@@ -461,10 +461,10 @@ def _pulse(draft: Draft) -> Faults:
         if "pulse.duration" in draft.numbers:
             place = "pulse.duration"
         place = {"step": "pulse.shape", "measured": "pulse.file"}.get(shape, place)
-        width, back = (format_value(time, "pulse.duration") for time in (lasts, trip))
         raise Fault(
-            f"the pulse lasts {width}, longer than the round trip of {back} in the incident bar, "
-            "whose far end cannot reflect while the striker touches it. Shorten the pulse, "
+            f"the pulse lasts {format_value(lasts, 'pulse.duration')}, longer than the round trip "
+            f"of {format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot "
+            "reflect while the striker touches it. Shorten the pulse, "
             'lengthen the bar, or set incident_end = "absorbing"',
             place,
         )

@@ -558,6 +558,8 @@ def json_schema() -> dict[str, Any]:
 
     It says less than the reader: how numbers go together, only `load_study` knows.
     """
-    kinds = [{"required": ["sphere"]}, {"required": ["inputs", "outputs"]}]
-    draft = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": draft, **Document.model_json_schema(), "anyOf": kinds}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Document.model_json_schema(),
+        "anyOf": [{"required": ["sphere"]}, {"required": ["inputs", "outputs"]}],
+    }

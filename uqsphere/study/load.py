@@ -91,8 +91,7 @@ def load_study(
             raise refusal(path, text, at_keys, overridden)
     notes = [Fault(message, _written(place, tables)) for place, message in draft.warnings]
     warnings = [note.render(name if note.path else "") for note in located(text, notes, overridden)]
-    study = resolve(draft, path, text)
-    return replace(study, overrides=tuple(overrides), warnings=tuple(warnings))
+    return replace(resolve(draft, path, text), overrides=tuple(overrides), warnings=tuple(warnings))
 
 
 def _written(path: str, tables: object) -> str:

@@ -151,10 +151,14 @@ def number_of(raw: object, quantity: Quantity, draft: Draft, place: str) -> Numb
 
 def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: str) -> None:
     """Warn of a value (SI) outside the usual range of its quantity."""
-    if not quantity.plausible[0] <= value <= quantity.plausible[1]:
-        text, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+    name = quantity.name
+    low, high = quantity.plausible
+    if not low <= value <= high:
         draft.warn(
-            place, f"{text} is unusual (usual: {low} to {high}). Is the unit right?", holds="unit"
+            place,
+            f"{format_value(value, name)} is unusual (usual: {format_value(low, name)} to "
+            f"{format_value(high, name)}). Is the unit right?",
+            holds="unit",
         )
 
 
