@@ -361,7 +361,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: s
     tested = limit.tested
     if tested is None:
         return
-    linked = limit.needs_modulus or (modulus_of(tested.law) is not None and tested.exponent != 0.0)
+    linked = limit.needs_modulus or (modulus_of(tested.law) and tested.exponent)
     ratios = [
         max(tested.diameter / (2.0 * radius), 2.0 * radius / tested.diameter) for radius in radii
     ]
@@ -404,7 +404,8 @@ def _warn_of_slips(
     """
     force = columns["force"]
     diameter = columns["diameter"]
-    across, (low, high) = 2.0 * draft.mean("sphere.radius"), _usual_tension(draft)
+    across = 2.0 * draft.mean("sphere.radius")
+    low, high = _usual_tension(draft)
 
     def is_usual(force: Array, diameter: Array) -> bool:
         typical = np.median(0.9 * force / np.square(diameter))
@@ -435,21 +436,18 @@ def _warn_of_slips(
         text = f"line {cells.lines[rows[first]]}: the {key} is {ratios[key]:,.4g} times the median"
         tension[slips] = typical
     elif far.any():
-        first = np.argmax(far)
         key = "diameter"
         text = (
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
-            f"of three, the first is {1e3 * diameter[first]:.4g} mm"
+            f"of three, the first is {1e3 * diameter[far][0]:.4g} mm"
         )
-        units = UNITS["length"]
-        likely = [u for u in _LENGTHS if is_usual(force, diameter / metre * units[u])]
+        likely = [u for u in _LENGTHS if is_usual(force, diameter / metre * UNITS["length"][u])]
     elif not low <= typical <= high:
         text = (
             f"0.9 P/D² is {1e-6 * typical:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
             "MPa"
         )
-        units = UNITS["force"]
-        likely = [u for u in _FORCES if is_usual(force / newton * units[u], diameter)]
+        likely = [u for u in _FORCES if is_usual(force / newton * UNITS["force"][u], diameter)]
     if not text:
         return tension
     hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
