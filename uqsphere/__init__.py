@@ -7,8 +7,6 @@ duration, strength.
 'Granite, 20 mm, between 40 mm steel bars'
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:

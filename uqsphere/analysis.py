@@ -22,8 +22,6 @@ together, values that are not finite, and laws that cannot be made.
 0.8
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -92,7 +90,7 @@ class Answers(dict[Any, Any]):
     def __repr__(self) -> str:
         return self.to_frame()[["order", "name", "value", "low", "high"]].to_string(index=False)
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> "DataFrame":
         """One row for each estimate: order and name, value, low, high, std_error, evaluations,
         method, reason.
         """
@@ -339,7 +337,7 @@ class Failure:
             f"{self.probability.evaluations:,} model runs>"
         )
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> "DataFrame":
         """One row: the probability, whether it is sure, the warning, and the design point by
         input.
         """
@@ -455,7 +453,7 @@ class Fragility:
         )
         return f"<Fragility at {len(self.curve)} levels: {levels}>"
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> "DataFrame":
         """The curve: level, value, low, high."""
         from pandas import DataFrame
 

@@ -9,8 +9,6 @@
 [1.0]
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,13 +30,13 @@ def _inputs(study: Study) -> Joint:
     return study.inputs().only(tuple(study.random))
 
 
-def _table(laws: Joint, normals: Array) -> DataFrame:
+def _table(laws: Joint, normals: Array) -> "DataFrame":
     from pandas import DataFrame
 
     return DataFrame(laws.physical(normals), columns=laws.names)
 
 
-def sample(study: Study, count: int) -> DataFrame:
+def sample(study: Study, count: int) -> "DataFrame":
     """Independent rows of every random number of a study, strengths too.
 
     Parameters
@@ -55,7 +53,7 @@ def sample(study: Study, count: int) -> DataFrame:
     return _table(laws, rng.standard_normal((count, len(laws.names))))
 
 
-def design(study: Study, count: int) -> DataFrame:
+def design(study: Study, count: int) -> "DataFrame":
     """Rows of the random inputs for a solver elsewhere: points of a scrambled Sobol' sequence.
 
     Parameters
@@ -73,7 +71,7 @@ def design(study: Study, count: int) -> DataFrame:
     return _table(laws, special.ndtri(points))
 
 
-def analyse(study: Study, frame: DataFrame, *, out: str | Path | None = None) -> Run:
+def analyse(study: Study, frame: "DataFrame", *, out: str | Path | None = None) -> "Run":
     """The run of a black-box study whose rows were answered elsewhere: every analysis, without
     calling a model.
 
@@ -119,7 +117,7 @@ def to_salib(study: Study, count: int = 1024, *, second: bool = False) -> intero
     return interop.to_salib(_inputs(study), count, second=second, seed=study.seed)
 
 
-def joint(study: Study) -> Distribution:
+def joint(study: Study) -> "Distribution":
     """The joint distribution of the random inputs [SI] as chaospy has it.
 
     Distributions that chaospy does not have keep the functions of this package.

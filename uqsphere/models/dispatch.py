@@ -3,8 +3,6 @@
 A call that fails is cut in two, so that one bad row does not take the others with it.
 """
 
-from __future__ import annotations
-
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import TYPE_CHECKING
@@ -13,11 +11,11 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, tell
+from uqsphere.models.cache import Cache
 from uqsphere.models.rows import Died, NoAnswer, where_of
 from uqsphere.models.workers import Timed, result
 
 if TYPE_CHECKING:
-    from uqsphere.models.cache import Cache
     from uqsphere.models.model import Model
 
 #: most rows of one call, and calls that the rows of a slow black box are split into
@@ -32,7 +30,7 @@ _DEATHS = 8
 
 
 def answer_rows(
-    model: Model, rows: Array, cache: Cache | None
+    model: "Model", rows: Array, cache: Cache | None
 ) -> tuple[Array, dict[int, NoAnswer], Places]:
     """Answers (n, outputs) of a black box to rows (n, inputs), NaN where it has none; the reasons
     by row; and the rows of the first call that answered several: a model that answers a row by its

@@ -1,7 +1,5 @@
 """`uqsphere.evaluate`: a table of inputs in, a table of quantities out."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -37,7 +35,7 @@ def evaluate(
     tolerance: float | None = None,
     threads: int | None = 1,
     model: str | BlackBox | None = None,
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Evaluate the impact model, or your own model, at n samples.
 
     Parameters

@@ -2,8 +2,6 @@
 them at once.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from uqsphere.study.document import Margins, json_schema, limit_of

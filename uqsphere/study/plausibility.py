@@ -3,8 +3,6 @@ sphere: a slip of a unit, of two numbers swapped, or of one strength for another
 verdict is established by it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import TypeAlias
