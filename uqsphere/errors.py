@@ -60,7 +60,6 @@ class StudyError(UsageError):
     """A study or another input file cannot be used; carries the faults that were found."""
 
     def __init__(self, file: object, problems: list[Problem]) -> None:
-        self.file = file
         self.problems = sorted(problems)
         super().__init__("\n".join(problem.render(file) for problem in self.problems))
 
