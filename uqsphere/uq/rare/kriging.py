@@ -78,15 +78,13 @@ def by_kriging(
             continue
         model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
         answer = search(model, accuracy=0.1)
-        mixture = wide_mixture(d).drawn(1024)
         value = answer.estimate.value or 0.0
-        if answer.draws is None:
+        draws = answer.draws
+        if draws is None:
             # nothing fails on the surrogate: where it is least sure of that
-            places = mixture.moved(model.normals(d, 1024, "least sure", fitted.size))
-        else:
-            mixture = answer.draws.mixture
-            places = answer.draws.points.reshape(-1, d)
-        doubt = surrogate.doubt(places, model.integrated) * mixture.ratio(places)
+            draws = draw(replace(model), wide_mixture(d), 1024, "least sure", fitted.size)
+        places = draws.points.reshape(-1, d)
+        doubt = surrogate.doubt(places, model.integrated) * draws.mixture.ratio(places)
         if value > 0.5 and evaluator.left >= allowed / 2:
             return None
         batch = int(min(fitted.size // 10, last - evaluator.count, MOST_POINTS - fitted.size))
@@ -137,12 +135,10 @@ def _corrected(
         # counted changes of side, or the expected ones where fewer were counted
         error = math.sqrt(max(off.var(), variance.mean()) / off.size)
         shift = float(off.mean())
-        if shift:
-            shift *= shift**2 / (shift**2 + error**2)
-        value = max(base + shift, 1e-3 * base)
+        value = max(base + shift**3 / (shift**2 + error**2 or 1.0), 1e-3 * base)
         half = NORMAL * math.hypot(error, answer.estimate.std_error or 0.0)
         block = max(LEAST_FRESH, off.size // 2)
-    if not off.size:
+    if not value:
         return None
     factor = math.exp(min(half / value, 50.0))
     high = min(value * factor, 1.0)
