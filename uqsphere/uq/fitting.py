@@ -380,12 +380,12 @@ def fit_strength(
 
 
 def distance(below: Array, leaving: Array) -> Array:
-    """Largest difference (rows,) of a law's probabilities (rows, r) at failures from the
-    Kaplan-Meier estimate.
+    """Largest difference (...) of a law's probabilities (..., r) at failures from the Kaplan-Meier
+    estimate.
     """
     after = 1.0 - np.cumprod(1.0 - 1.0 / _at_risk(leaving))
     before = np.append(0.0, after[:-1])
-    return np.asarray(np.abs([below - after, below - before]).max(axis=(0, 2)))
+    return np.asarray(np.abs([below - after, below - before]).max(axis=(0, -1)))
 
 
 def probability_of(tests: StrengthTests, law: LocationScale) -> float:
@@ -397,7 +397,7 @@ def probability_of(tests: StrengthTests, law: LocationScale) -> float:
     """
     location, spread = _best(tests, law)
     z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
-    apart = distance(law.form.tails(z)[0][None, :], tests.leaving)
+    apart = distance(law.form.tails(z)[0], tests.leaving)
     firsts = np.arange(0, z.size, -(-z.size // MANY))
     few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
     series = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
