@@ -29,6 +29,18 @@ def test_a_run_shows_itself_as_its_page_does(path: Path) -> None:
         assert text.decision.verdict in html
 
 
+def test_a_page_leaves_the_figures_of_the_user_as_they_are() -> None:
+    import matplotlib.pyplot as plt
+
+    before = plt.get_backend()
+    plt.switch_backend("pdf")
+    try:
+        page_files(Results.model_validate_json(REPORTS[0].read_bytes()), [])
+        assert plt.get_backend() == "pdf"
+    finally:
+        plt.switch_backend(before)
+
+
 def test_a_study_shows_inputs_and_strengths() -> None:
     html = load_study(STUDIES / "limestone_margin.toml")._repr_html_()
     assert "<html" not in html

@@ -75,7 +75,6 @@ def picture_svg(draw: Callable[[Figure], None], width: float, height: float) -> 
     import matplotlib
     from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # a user's matplotlibrc may ask for TeX
         matplotlib.rcParams.update(STYLE)  # type: ignore[arg-type]

@@ -108,7 +108,8 @@ def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
 
 def _rows(study: Study, course: History) -> Iterator[tuple[str, str]]:
     yield "mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}"
-    if RIGS[study.rig].by_wave and math.isfinite(course.pulse_number):
+    by_wave = RIGS[study.rig].by_wave
+    if by_wave and math.isfinite(course.pulse_number):
         yield "theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"
     scene = scene_of(study, {}, 1)
     names = [name for name in OUTPUTS if not absent_in(scene, name)]
@@ -126,7 +127,7 @@ def _rows(study: Study, course: History) -> Iterator[tuple[str, str]]:
         pressure = format_value(course.later_peak.pressure, "p_max", 5)
         text = f"{pressure} at {_when(course.later_peak.time)}"
         yield "largest contact pressure after the evaluation window", text
-    if RIGS[study.rig].by_wave:
+    if by_wave:
         balanced = equilibrium(course)
         text = "always" if balanced == 0.0 else _when(balanced)
         yield "time to force equilibrium (forces within 5 % of their mean)", text

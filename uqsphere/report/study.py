@@ -27,7 +27,7 @@ def described(study: Study) -> str:
     """Inputs with their distribution and source, strengths with their tests, and dependences."""
     lines = [f"{study.title}: the study is valid"]
     inputs, *others = _tables(study)
-    sources = list(dict.fromkeys(row[-1] for row in inputs.rows if row[-1] != "study"))
+    sources = dict.fromkeys(row[-1] for row in inputs.rows if row[-1] != "study")
     marks = {source: f"[{number}]" for number, source in enumerate(sources, 1)}
     rows = [(*cells, marks.get(source, source)) for *cells, source in inputs.rows]
     lines += ["", *columns([inputs.head, *rows])]
