@@ -106,11 +106,9 @@ def expansions(
 
     One that was fitted to as many rows before, or leaves next to nothing, is not fitted again.
     """
-    size = len(design.inputs)
     count = sample.count
-    germs = design.germs
+    few = min(count, MOST_TERMS)
     points = points_of(design, sample.scores)
-    later = points[1:].reshape(-1, size)
     fits = dict[str, Expansion]()
     for name in columns:
         outputs = sample.answer(name)
@@ -118,39 +116,47 @@ def expansions(
             continue
         rows = min(count, MOST_ROWS)
         earlier = before.get(name)
-        if earlier is not None and earlier.rows != rows and earlier.left >= GOOD:
-            earlier = None
-        if earlier is not None:
+        if earlier is not None and (earlier.rows == rows or earlier.left < GOOD):
             fit = earlier.fit
             rows = earlier.rows
+            values = predict(fit, points[1:])
+            left = _left(outputs, values)
         else:
-            fit = fit_chaos(points[0, :rows], outputs[0, :rows], germs, plain=True)
-        values = predict(fit, later).reshape(outputs[1:].shape)
-        poor = earlier is None and _left(outputs, values) > GOOD
-        if poor and not design.study.analysis.second_order:
-            other = fit_chaos(points[0, :rows], outputs[0, :rows], germs)
-            others = predict(other, later).reshape(outputs[1:].shape)
-            if other.log and _left(outputs, others) < 0.5 * _left(outputs, values):
-                fit = other
-                values = others
-        few = min(count, MOST_TERMS)
+            fit, values, left = _fitted(design, points, outputs, rows)
         form = fit.plain_form
         rest = (outputs[1:] - values)[:, :few]
-        terms = rows_of(form.germs, points[1:, :few].reshape(-1, size), form.multi_indices)
-        cross = np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few
+        terms = rows_of(form.germs, np.concatenate(points[1:, :few]), form.multi_indices)
         expansion = Expansion(
             fit=fit,
             rows=rows,
             values=values,
             residuals=rest,
-            cross=cross,
+            cross=np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few,
             explained=_explained(points[1:, :few], rest),
-            left=_left(outputs, values),
-            beyond=_beyond(fit, sample.scores[1:, :few, :size], rest),
+            left=left,
+            beyond=_beyond(fit, sample.scores[1:, :few, : len(design.inputs)], rest),
         )
         if not _runs_away(expansion):
             fits[name] = expansion
     return fits
+
+
+def _fitted(design: Design, points: Array, outputs: Array, rows: int) -> tuple[Chaos, Array, float]:
+    """The expansion that is fitted to so many rows of the first replicate of outputs (R, n) at germ
+    points (R, n, d), its values at those of the others, and the share of the variance that it
+    leaves of them.
+    """
+    tried = []
+    for plain in (True, False):
+        fit = fit_chaos(points[0, :rows], outputs[0, :rows], design.germs, plain=plain)
+        values = predict(fit, points[1:])
+        tried.append((fit, values, _left(outputs, values)))
+        if tried[0][2] <= GOOD or design.study.analysis.second_order:
+            break
+    plain_fit, other = tried[0], tried[-1]
+    if other[0].log and other[2] < 0.5 * plain_fit[2]:
+        return other
+    return plain_fit
 
 
 def varies(outputs: Array) -> bool:
@@ -193,35 +199,28 @@ def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
     scores : (R-1, m, d) of the inputs
     residuals : (R-1, m) of these rows
     """
-    size = scores.shape[2]
-    rows = scores[0, :TAIL_POINTS]
-    parts = (np.arange(len(rows)) + 0.5) / len(rows)
-    places = list[Array]()  # beyond the last row, at it, and as far before it
-    chances = []
-    errors = []
-    for j in range(size):
-        for side in (-1.0, 1.0):
-            outermost = (side * scores[:, :, j]).argmax(axis=1)[:, None]
-            last = side * float(np.take_along_axis(side * scores[:, :, j], outermost, 1).max())
-            errors.append(float((np.take_along_axis(residuals, outermost, 1) ** 2).mean()))
-            chances.append(float(special.ndtr(-side * last)))
-            free = -side * special.ndtri(chances[-1] * parts)
-            for score in (free, last, 2.0 * last - free):
-                moved = rows.copy()
-                moved[:, j] = score
-                places.append(moved)
-    values = predict(fit, germ_points(np.concatenate(places), fit.germs))
-    beyond, at_last, before = values.reshape(-1, 3, len(rows)).swapaxes(0, 1)
     moments = integrals_of(fit)
     if not moments.sd > 0.0:
         return 0.0
-    squares = (beyond - moments.mean) ** 2 - (at_last - moments.mean) ** 2
-    made = np.abs(squares).mean(axis=1) * np.array(chances)
-    moves = ((before - at_last) ** 2).mean(axis=1)
-    with np.errstate(over="ignore"):  # an expansion that does not move has nothing beyond either
-        doubt = np.sqrt(np.array(errors) / np.maximum(moves, 1e-300))
-        wrong = np.minimum(2.0 * doubt + doubt**2, 1.0)
-    return float(made @ wrong) / moments.sd**2
+    rows = scores[0, :TAIL_POINTS]
+    parts = (np.arange(len(rows)) + 0.5) / len(rows)
+    wrong = 0.0
+    for j, column in enumerate(np.moveaxis(scores, 2, 0)):
+        for side in (-1.0, 1.0):
+            outermost = (side * column).argmax(axis=1)[:, None]
+            last = side * float((side * column).max())
+            chance = float(special.ndtr(-side * last))
+            free = -side * special.ndtri(chance * parts)
+            # beyond the last row, at it, and as far before it
+            places = np.tile(rows, (3, 1, 1))
+            places[:, :, j] = np.broadcast_arrays(free, last, 2.0 * last - free)
+            beyond, at_last, before = predict(fit, germ_points(places, fit.germs))
+            made = np.abs((beyond - moments.mean) ** 2 - (at_last - moments.mean) ** 2).mean()
+            error = (np.take_along_axis(residuals, outermost, 1) ** 2).mean()
+            with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
+                doubt = np.sqrt(error / max(((before - at_last) ** 2).mean(), 1e-300))
+                wrong += chance * float(made * min(2.0 * doubt + doubt**2, 1.0))
+    return wrong / moments.sd**2
 
 
 def _left(outputs: Array, values: Array) -> float:
@@ -238,17 +237,9 @@ def _left(outputs: Array, values: Array) -> float:
 def points_of(design: Design, normals: Array) -> Array:
     """Germ points (..., d) of the inputs at independent normals (..., D) of all variables, of which
     they are the first."""
-    inputs = normals[..., : len(design.germs)]
-    rows = inputs.reshape(math.prod(inputs.shape[:-1]), inputs.shape[-1])
-    return germ_points(rows, design.germs).reshape(inputs.shape)
+    return germ_points(normals[..., : len(design.germs)], design.germs)
 
 
 def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
     """Values of an expansion at independent normals (..., D)."""
-
-    def at(normals: Array) -> Array:
-        points = points_of(design, normals)
-        rows = points.reshape(-1, points.shape[-1])
-        return predict(expansion.fit, rows).reshape(normals.shape[:-1])
-
-    return at
+    return lambda normals: predict(expansion.fit, points_of(design, normals))

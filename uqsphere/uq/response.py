@@ -20,7 +20,6 @@ no more is left of the variance; it may be more where no coefficients could be t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -46,8 +45,8 @@ MOST = 0.25
 #: level at which a fold is contradicted, and points of the law at which its variance is looked at
 REJECTED = 0.99
 LOOKED = 1024
-#: variance of a fold without a finite one
-LARGEST = 1e300
+#: standard deviation of a fold without a finite variance
+LARGEST = 1e150
 #: share of a variance that expansions of an exact polynomial differ by
 ROUNDING = 1e-9
 
@@ -75,7 +74,7 @@ class Fold:
     reach: tuple[Array, ...] = ()
 
     def values(self, points: Array) -> Array:
-        """Values (m,) at germ points (m, d)."""
+        """Values (...) at germ points (..., d)."""
         if self.reach:
             points = np.clip(points, *self.reach)
         return predict(self.fit, points)
@@ -151,8 +150,9 @@ class Response:
     def reason(self) -> str:
         """Why it may, or may not, be used."""
         largest = max((fold.fit for fold in self.folds), key=lambda fit: fit.coefficients.size)
-        terms = f"{largest.coefficients.size} terms of degree {largest.degree}"
-        terms += f" from {self.count} runs"
+        terms = (
+            f"{largest.coefficients.size} terms of degree {largest.degree} from {self.count} runs"
+        )
         if self.usable:
             return f"it leaves {self.error:.2g} of the variance ({terms}); {unseen(self.count)}"
         return (
@@ -162,7 +162,10 @@ class Response:
 
     def table(self, points: Array) -> Array:
         """Predictions (R, m) at germ points (R, m, d) of the law: the folds take turns."""
-        return np.stack([self.folds[r % FOLDS].values(rows) for r, rows in enumerate(points)])
+        table = np.empty(points.shape[:2])
+        for k, fold in enumerate(self.folds):
+            table[k::FOLDS] = fold.values(points[k::FOLDS])
+        return table
 
     def scattered(self, table: Array) -> Array:
         """A table (R, m) with a residual of a row on every prediction.
@@ -183,7 +186,7 @@ class Response:
 def cross_fit(
     points: Array,
     outputs: Array,
-    germs: Sequence[GermLike],
+    germs: tuple[GermLike, ...],
     *,
     plain: bool = False,
     independent: bool = True,
@@ -200,20 +203,18 @@ def cross_fit(
 
     Raises ValueError for fewer than 8 rows.
     """
-    points = np.asarray(points)
-    outputs = np.asarray(outputs, dtype=float)
     n = len(outputs)
     if n < 8:
         raise ValueError(f"cross-fitting needs at least 8 different rows, not {n}")
     scores = tuple(map(score_of, germs))
     responses = []
     for y in outputs.reshape(n, -1).T:
-        response = _fitted(points, y, germs, plain=plain)
+        response = _fitted(points, y, germs, plain)
         if independent:
             response = _bounded(response)
             logs = any(fold.fit.log for fold in response.folds)
-            if len(response.trusted) < FOLDS and (logs or scores != tuple(germs)):
-                calmer = _bounded(_fitted(points, y, scores, plain=True))
+            if len(response.trusted) < FOLDS and (logs or scores != germs):
+                calmer = _bounded(_fitted(points, y, scores, True))
                 fewer = len(calmer.trusted) > len(response.trusted)
                 better = calmer.error <= response.error
                 if fewer and (better or (calmer.usable and not response.trusted)):
@@ -222,17 +223,18 @@ def cross_fit(
     return responses
 
 
-def _fitted(points: Array, y: Array, germs: Sequence[GermLike], *, plain: bool) -> Response:
+def _fitted(points: Array, y: Array, germs: tuple[GermLike, ...], plain: bool) -> Response:
     """The response of outputs (n,), whose folds are all trusted as yet."""
     fold = folds_of(len(y), FOLDS)
-    fits = []
+    folds = []
     levels = np.empty(len(y))
     for k in range(FOLDS):
         left_out = fold == k
-        fits.append(fit_chaos(points[~left_out], y[~left_out], germs, plain=plain))
-        levels[left_out] = predict(fits[k], points[left_out])
+        fit = fit_chaos(points[~left_out], y[~left_out], germs, plain=plain)
+        folds.append(Fold(fit=fit))
+        levels[left_out] = predict(fit, points[left_out])
     return Response(
-        folds=tuple(Fold(fit=fit) for fit in fits),
+        folds=tuple(folds),
         fold=fold,
         points=points,
         outputs=y,
@@ -254,12 +256,11 @@ def _bounded(response: Response) -> Response:
     the expansion leaves.
     """
     y = response.outputs
-    whole = float(response.outputs.var())
+    whole = float(y.var())
     if response.constant or not whole > 0.0:
         return response
-    with np.errstate(over="ignore"):  # a fold that runs away may have no finite variance
-        variances = np.square([moments.sd for moments in response.integrals])
-    variances = np.minimum(variances, LARGEST)
+    # a fold that runs away may have no finite variance
+    variances = np.minimum([moments.sd for moments in response.integrals], LARGEST) ** 2
     squares = (y - y.mean()) ** 2
     influence = squares - (response.levels - y.mean()) ** 2
     # folds share most of their rows, so that unlucky rows contradict all of them at once
