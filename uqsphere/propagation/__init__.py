@@ -149,7 +149,7 @@ def run(
         stack.enter_context(threadpool_limits(limits=1, user_api="blas"))
         if points is not None or surrogate.is_slow(design, evaluator, seconds):
             tables = surrogate.tables_of(
-                design, evaluator, seconds=seconds, progress=report, design_rows=points
+                design, evaluator, seconds=seconds, progress=report, points=points
             )
         else:
             tables = grow(design, evaluator, seconds=seconds, progress=report)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -28,17 +28,17 @@ from uqsphere.propagation.grow import accuracies, first_rows
 from uqsphere.propagation.limits import failure
 from uqsphere.propagation.progress import Progress
 from uqsphere.propagation.slow import Slow
-from uqsphere.propagation.tables import Tables, check_failures, check_sizes, evaluate
+from uqsphere.propagation.tables import Tables, check_failures, check_sizes, evaluate, input_rows
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
-from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.response import FOLDS, Response, cross_fit
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
-#: rows that measure what the model costs, rows of a design at most and at least, and points of a
-#: replicate of a table
-PROBE, MOST_ROWS, LEAST_ROWS, POINTS = 8, 1024, 16, 4096
+#: rows that measure what the model costs, and rows of a design at most and at least
+PROBE, MOST_ROWS, LEAST_ROWS = 8, 1024, 16
+#: points of a replicate of a table, and of one at a value of the free number
+POINTS, LINE_POINTS = 4096, 256
 #: share of the budget that rows along the free number take
 LINE_BUDGET = 0.4
 #: seconds that the least number of runs may take whatever the budget
@@ -55,14 +55,13 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
     if not design.study.black_box or not design.inputs:
         return False
     first = first_rows(design.study)
-    if analysis.cost is not None:
-        return bool(analysis.cost * first > seconds or analysis.budget.evaluations < first)
     if analysis.budget.evaluations < first:
         return True
+    if analysis.cost is not None:
+        return analysis.cost * first > seconds
     try:
-        probe = at_normals(design.drawn, _design_points(design, PROBE)[None])
-        rows = np.stack([probe.input(name)[0] for name in design.inputs], axis=1)
-        model.evaluate(design.inputs, rows[:1], design.columns)
+        names, rows = input_rows(design, _design(design, PROBE), {})
+        model.evaluate(names, rows[:1], design.columns)
         seconds_per_row = model.seconds_per_row or 0.0
         if seconds_per_row * LEAST_ROWS > max(seconds, ALWAYS):
             raise UsageError(
@@ -70,7 +69,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
                 f"needed; the time budget is {seconds:.3g} s. Raise analysis.budget.time or "
                 "--budget"
             )
-        model.evaluate(design.inputs, rows[1:], design.columns)
+        model.evaluate(names, rows[1:], design.columns)
     except Interrupted:
         raise KeyboardInterrupt from None
     return (model.seconds_per_row or 0.0) * first > seconds
@@ -81,6 +80,11 @@ def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow
     size = len(design.drawn.names)
     points = sobol_points(dimension=size + extra, count=count, seed=design.study.seed, task=task)
     return np.concatenate([normal_scores(points[:, :size]), points[:, size:]], axis=1)
+
+
+def _design(design: Design, count: int) -> Sample:
+    """The points (1, count) of the design of a slow model."""
+    return at_normals(design.drawn, _design_points(design, count)[None])
 
 
 Columns = Mapping[str, Array]
@@ -96,13 +100,12 @@ def known_rows(design: Design, frame: Any) -> tuple[Sample, Callable[[Columns], 
     """
     study = design.study
     inputs = design.inputs
-    names = design.drawn.names
     if not study.black_box or not inputs:
         raise UsageError(
             "analyse takes rows of a black-box study with random inputs; run evaluates a scene "
             "itself"
         )
-    asked = (*inputs, *study.outputs)
+    asked = *inputs, *study.outputs
     if not hasattr(frame, "fillna"):
         raise UsageError(
             f"analyse takes a DataFrame with {', '.join(asked)}, not {type(frame).__name__}"
@@ -116,11 +119,11 @@ def known_rows(design: Design, frame: Any) -> tuple[Sample, Callable[[Columns], 
         if study.random[name].is_steps:
             raise UsageError(f"input {name!r} is discrete; given rows need continuous inputs")
     check_rows(x, design.joint_inputs)
-    columns = [names.index(name) for name in inputs]
+    # the inputs are the first of the variables
     normals = _design_points(design, len(x), task="factors")
-    normals[:, columns] = design.joint_inputs.normals(x)
+    normals[:, : len(inputs)] = design.joint_inputs.normals(x)
     physical = design.drawn.physical(normals)
-    physical[:, columns] = x
+    physical[:, : len(inputs)] = x
     answers = {row.tobytes(): answer for row, answer in zip(x, y, strict=True)}
 
     def model(columns: Columns) -> Columns:
@@ -128,7 +131,7 @@ def known_rows(design: Design, frame: Any) -> tuple[Sample, Callable[[Columns], 
         known = np.stack([answers[row.tobytes()] for row in rows])
         return dict(zip(study.outputs, known.T, strict=True))
 
-    return Sample.at(names, normals[None], physical[None]), model
+    return Sample.at(design.drawn.names, normals[None], physical[None]), model
 
 
 def tables_of(
@@ -136,46 +139,44 @@ def tables_of(
     model: Model,
     *,
     seconds: float,
-    progress: Progress | None = None,
-    design_rows: Sample | None = None,
+    progress: Progress,
+    points: Sample | None,
 ) -> Tables:
     """The tables of a slow model: predicted by expansions of one design that its own rows correct.
 
-    design_rows : the design, where its rows were chosen elsewhere
+    points : the design, where its rows were chosen elsewhere
 
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
     analysis = design.study.analysis
     free = design.study.margins
-    points = design_rows
     end = time.monotonic() + seconds
     affordable = analysis.budget.evaluations
-    cost = analysis.cost
-    if cost is None:
-        cost = model.seconds_per_row or 0.0
-    if cost > 0.0:
+    cost = analysis.cost or model.seconds_per_row
+    if cost:
         in_time = 0.9 * seconds / cost
         if cost * LEAST_ROWS <= ALWAYS:
             in_time = max(in_time, LEAST_ROWS)
         affordable = int(min(affordable, in_time))
     along = points is None and free is not None and free.limit is None
     if points is None:
-        share = 1.0 - LINE_BUDGET if along else 1.0
-        count = min(int(affordable * share), MOST_ROWS)
+        count = affordable
+        if along:
+            count = int(affordable * (1.0 - LINE_BUDGET))
         if count < LEAST_ROWS:
             raise UsageError(
                 f"the budget allows {affordable} model runs; at least {LEAST_ROWS} are needed. "
                 "Raise analysis.budget or --budget."
             )
-        points = at_normals(design.drawn, _design_points(design, count)[None])
+        points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
     slow = _predicted(design, rows)
     tables = Tables(sample=slow.sample, surrogate=slow)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
-            line, fold_line = _lines(design, model, most, slow.sample)
+            line, fold_line = _lines(design, model, most)
             tables = replace(tables, line=line, fold_line=fold_line)
         except Interrupted:
             stopped = "interrupted"
@@ -194,7 +195,7 @@ def tables_of(
 
 
 def _evaluated(
-    design: Design, model: Model, points: Sample, end: float, progress: Progress | None
+    design: Design, model: Model, points: Sample, end: float, progress: Progress
 ) -> tuple[Sample, Stop]:
     """The rows (1, n) of the design that were evaluated, and what ended them early, if anything."""
     parts = list[Sample]()
@@ -210,9 +211,8 @@ def _evaluated(
             break
         parts.append(part)
         done += part.count
-        if progress is not None:
-            runs = model.evaluations + model.reused
-            progress(runs, done / count, f"{done} of {count} runs of the design")
+        runs = model.evaluations + model.reused
+        progress(runs, done / count, f"{done} of {count} runs of the design")
         if done >= LEAST_ROWS and time.monotonic() > end:
             stopped = "time"
     if done < LEAST_ROWS:
@@ -239,20 +239,13 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     responses: dict[str, Response] = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
     if plain and not apart and rows.count >= LEAST_ROWS:
-        germs = design.germs
-        fits = cross_fit(points_of(design, rows.scores)[0], rows.answers[0], germs)
+        fits = cross_fit(points_of(design, rows.scores[0]), rows.answers[0], design.germs)
         responses = dict(zip(rows.quantities, fits, strict=True))
     slow = Slow(design=design, rows=rows, responses=responses, sample=rows, dropped=dropped)
     if responses and all(response.usable for response in responses.values()):
         table = design.points(POINTS)
-        points = points_of(design, table.scores)
-        values = [response.table(points) for response in responses.values()]
-        predicted = table.with_answers(rows.quantities, np.stack(values, axis=2))
-        scattered = [
-            response.scattered(predicted.answer(name)) for name, response in responses.items()
-        ]
-        table = predicted.with_answers(rows.quantities, np.stack(scattered, axis=2))
-        return replace(slow, predicted=predicted, sample=table)
+        predicted, sample = _with_predictions(table, responses, points_of(design, table.scores))
+        return replace(slow, predicted=predicted, sample=sample)
     count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
     return replace(slow, sample=rows.head(rows.count // count * count).in_blocks(count))
 
@@ -261,19 +254,28 @@ def lie_apart(some: Array, others: Array) -> bool:
     """Whether points (m, d) surely follow another distribution than others (n, d) in some
     coordinate, by the test of Kolmogorov and Smirnov at 1 % for all coordinates together.
     """
+    from scipy.stats import ks_2samp
+
     (m, d), n = some.shape, len(others)
-    for column, other in zip(some.T, others.T, strict=True):
-        places = np.sort(np.concatenate([column, other]))
-        below = [np.searchsorted(np.sort(part), places, "right") for part in (column, other)]
-        distance = np.abs(below[0] / m - below[1] / n).max()
-        if special.kolmogorov(distance * math.sqrt(m * n / (m + n))) < 0.01 / d:
-            return True
-    return False
+    distance = ks_2samp(some, others, method="asymp").statistic.max()
+    return bool(special.kolmogorov(distance * math.sqrt(m * n / (m + n))) < 0.01 / d)
+
+
+def _with_predictions(
+    points: Sample, responses: Mapping[str, Response], germ_points: Array
+) -> tuple[Sample, Sample]:
+    """Points with the predictions of all columns at their germ points (R, n, d), as they are and
+    with residuals on them.
+    """
+    values = [response.table(germ_points) for response in responses.values()]
+    scattered = map(Response.scattered, responses.values(), values)
+    plain, moved = (np.stack([*columns], axis=2) for columns in (values, scattered))
+    return points.with_answers([*responses], plain), points.with_answers([*responses], moved)
 
 
 def _lines(
-    design: Design, model: Model, count: int, sample: Sample
-) -> Sequence[Mapping[float, Sample]]:
+    design: Design, model: Model, count: int
+) -> tuple[Mapping[float, Sample], Mapping[float, Sample]]:
     """Predicted columns at values of the free number, by expansions in the inputs and in it: with
     residuals on them, and of every expansion at the same points.
     """
@@ -293,28 +295,26 @@ def _lines(
         moving[margins.solve] = values
     rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), moving)
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
-    good = np.isfinite(rows.answers[0]).all(axis=1)
+    answers = rows.answers[0]
+    good = np.isfinite(answers).all(axis=1)
     if not good.all() and lie_apart(places[~good], places[good]):
         return {}, {}
-    responses = cross_fit(places[good], rows.answers[0][good], (*design.germs, "uniform"))
-    if not all(response.usable for response in responses):
+    fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
+    if not all(response.usable for response in fits):
         return {}, {}
-    table = design.points(sample.count if sample.replicates == REPLICATES else POINTS).head(256)
+    responses = dict(zip(rows.quantities, fits, strict=True))
+    table = design.points(LINE_POINTS)
     # the first replicates behind each other, for each of the expansions
     first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
-    along = grid(margins, VALUES)
-    germ = np.array([2.0 * shares_of(margins, value) - 1.0 for value in along])
-    line = dict[float, Sample]()
-    fold_line = dict[float, Sample]()
-    for drawn, predicted in ((table, line), (shared, fold_line)):
-        inputs = np.tile(points_of(design, drawn.scores), (1, len(along), 1))
-        last = np.broadcast_to(np.repeat(germ, drawn.count), inputs.shape[:2])
-        at = np.concatenate([inputs, last[..., None]], axis=2)
-        answers = [np.split(each.table(at), len(along), axis=1) for each in responses]
-        for value, *columns in zip(along, *answers, strict=True):
-            if predicted is line:
-                pairs = zip(responses, columns, strict=True)
-                columns = [response.scattered(column) for response, column in pairs]
-            predicted[value] = drawn.with_answers(rows.quantities, np.stack(columns, axis=2))
+    line = {}
+    fold_line = {}
+    for value in grid(margins, VALUES):
+        germ = 2.0 * shares_of(margins, value) - 1.0
+        of_table, of_shared = (
+            np.insert(points_of(design, drawn.scores), len(design.germs), germ, axis=2)
+            for drawn in (table, shared)
+        )
+        line[value] = _with_predictions(table, responses, of_table)[1]
+        fold_line[value] = _with_predictions(shared, responses, of_shared)[0]
     return line, fold_line
