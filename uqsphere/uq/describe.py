@@ -10,12 +10,13 @@ cancellation, whatever the offset of the quantity.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, Flags, special
+from uqsphere.arrays import Array, Cells, Flags, Values, special
 from uqsphere.uq.estimate import (
     CELL,
     LEFT_OUT,
@@ -68,10 +69,10 @@ def hill(outputs: Array) -> float:
     if kept.size < 4 * count:
         return math.inf
     away = np.sort(np.abs(kept - np.median(kept)))[::-1]
-    if away[count] <= 0.0:
+    # where none of them is any farther away than the next one there is no tail
+    if not away[0] > away[count] > 0.0:
         return math.inf
-    mean = float(np.mean(np.log(away[:count] / away[count])))
-    return 1.0 / mean if mean > 0.0 else math.inf
+    return 1.0 / float(np.mean(np.log(away[:count] / away[count])))
 
 
 def _tail_count(size: int) -> int:
@@ -136,6 +137,9 @@ def describe(
     mean, sd, scale = _moments(samples, kept, shown)
     if (late | broken).all():
         mean = sd = absent("every sample outlasts the record", method, total)
+    beyond = share(late)
+    if late.any() and broken.any():
+        beyond = from_replicates(late.sum(axis=1) / counts, SHARE, total)
     estimates = quantile_estimates(
         samples,
         censored=late,
@@ -144,9 +148,6 @@ def describe(
         quantiles=quantiles,
         method=method,
     )
-    beyond = share(late)
-    if late.any() and broken.any():
-        beyond = from_replicates(late.sum(axis=1) / counts, SHARE, total)
     return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=beyond, scale=scale)
 
 
@@ -154,18 +155,18 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
     """Mean and standard deviation of the kept samples, and the scale for relative accuracies."""
     counts = kept.sum(axis=1)
     evaluations = samples.size
+    replicates = len(samples)
     total = float(counts.sum())
-    values = np.where(kept, samples, 0.0)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        sums = values.sum(axis=1)
+        sums = np.where(kept, samples, 0.0).sum(axis=1)
         means = sums / counts
-        centre = float(sums.sum() / total)
+        centre = float(sums.sum()) / total
         squares = np.where(kept, (samples - centre) ** 2, 0.0)
         # each replicate about its own mean: a common offset of the replicates is not scatter of the
         # quantity
         deviations = np.sqrt(np.maximum(squares.sum(axis=1) / counts - (means - centre) ** 2, 0.0))
         if not np.ptp(samples[kept]):  # nothing but the rounding of a sum
-            deviations = np.zeros(len(samples))
+            deviations = np.zeros(replicates)
             squares = np.zeros(samples.shape)
         deviation = math.sqrt(float(squares.sum()) / total)
         parts = squares / (deviation * deviation or 1.0)
@@ -177,7 +178,6 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         # interval at once.  The upper end is moved up by the term of the third moment in Johnson's
         # t (J. Am. Stat. Assoc. 73, 1978, 536), g (1 + 2 t²)/(6 sqrt(R)), g the skewness of the
         # squares of a replicate.
-        replicates = len(samples)
         skewness = (three - 3.0 * two + 2.0) / (two - 1.0) ** 1.5 / math.sqrt(total / replicates)
         moved = max(skewness, 0.0) * (1.0 + 2.0 * student(replicates) ** 2)
         moved /= 6.0 * math.sqrt(replicates)
@@ -217,7 +217,7 @@ def quantile_estimates(
     read = sample_reader(np.sort(least[kept]))
     upper = sample_reader(np.sort(np.where(failed | censored, math.inf, samples)[kept]))
     counts = kept.sum(axis=1)
-    answers: dict[float, Estimate] = {}
+    answers = {}
     for p in quantiles:
         if min(p, 1.0 - p) * counts.sum() < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
@@ -262,19 +262,18 @@ def describe_controlled(
     method : text of every estimate
     """
     total = expensive.size
-    mean = from_replicates(
-        (expensive - cheap).mean(axis=1) + cheap_many.mean(axis=1), method, total
-    )
 
-    def controlled(parts: Iterable[Cells]) -> Array:
-        exact, other, more = (part.mean(axis=1) for part in parts)
-        return np.asarray(exact - other + more)
+    def controlled(function: Callable[[Array], Cells]) -> Values:
+        exact, other, more = (
+            function(rows).mean(axis=1) for rows in (expensive, cheap, cheap_many)
+        )
+        return exact - other + more
 
+    mean = from_replicates(controlled(np.asarray), method, total)
     # about one centre for all replicates, so that their means are not taken for scatter of the
     # quantity
-    models = (expensive, cheap, cheap_many)
     centre = mean.value or 0.0
-    variances = controlled((rows - centre) ** 2 for rows in models)
+    variances = controlled(lambda rows: (rows - centre) ** 2)
     scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
     # the standard deviation moves by half of what the variance does, over itself
     sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
@@ -284,8 +283,7 @@ def describe_controlled(
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        at = read(p)
-        below = controlled(rows <= at for rows in models)
+        below = controlled(partial(np.greater_equal, read(p)))
         # a cell of the many, and one row in which the models may disagree
         cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
         error = math.hypot(spread(below), cell, CELL / total)

@@ -104,7 +104,7 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
                 column = in_order_of(column, index, f"the column {name!r}")
             columns.append(column)
         try:
-            rows = np.stack(np.broadcast_arrays(*map(np.atleast_1d, columns)), axis=-1)
+            rows = np.column_stack(np.broadcast_arrays(*map(np.atleast_1d, columns)))
         except ValueError as error:
             sizes = ", ".join(str(np.size(column)) for column in columns)
             raise UsageError(f"the columns differ in length: {sizes}") from error
@@ -130,9 +130,10 @@ def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
     different, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     if len(different) == len(rows):
         return rows, values
-    text = f"each of the {len(different)} different rows counts once, with the mean of its answers"
     warnings.warn(
-        f"{len(rows) - len(different)} of {len(rows)} rows repeat another: {text}", stacklevel=4
+        f"{len(rows) - len(different)} of {len(rows)} rows repeat another: each of the "
+        f"{len(different)} different rows counts once, with the mean of its answers",
+        stacklevel=4,
     )
     sums = np.zeros((len(different), *values.shape[1:]))
     np.add.at(sums, place.ravel(), values)
@@ -144,10 +145,9 @@ def index_of(rows: Any, names: Sequence[str] = ()) -> Any:
     """The index of a table of pandas, or that of the first Series of a mapping; None without
     one.
     """
+    tables = [as_table(rows, names)]
     if isinstance(rows, Mapping) and not hasattr(rows, "data_vars"):
         tables = [_series(column) for column in rows.values()]
-    else:
-        tables = [as_table(rows, names)]
     return next((table.index for table in tables if hasattr(table, "iloc")), None)
 
 
@@ -161,12 +161,7 @@ def in_order_of(column: Any, index: Any, name: str) -> Any:
     """A Series in the order of an index that has the same labels, each once.  Raises UsageError for
     any other.
     """
-    if not (
-        column.index.is_unique
-        and index.is_unique
-        and len(index) == len(column)
-        and set(index) == set(column.index)
-    ):
+    if not (len(set(index)) == len(index) == len(column) and set(index) == set(column.index)):
         raise UsageError(
             f"the index of {name} is not that of the rows: give it by to_numpy() where the order "
             "is right"
@@ -208,21 +203,17 @@ class Expansion:
     joint : names and laws of the d inputs, and what ties them
     fit : the expansion of all rows, in the germs of the laws: `fit.coefficients`,
         `fit.multi_indices`, `fit.log`
-    response : expansions without a fold of the rows, for errors and intervals; None where there are
-        none
+    response : expansions without a fold of the rows, for errors and intervals
     """
 
     joint: Joint
     fit: Chaos
-    response: Response | None = None
+    response: Response
 
     def __repr__(self) -> str:
-        error = ""
-        if self.response is not None:
-            error = f", leaves {self.response.error:.2g} of the variance"
         return (
-            f"<Expansion in {', '.join(self.joint.names)}: {len(self.fit.coefficients)} "
-            f"terms{error}>"
+            f"<Expansion in {', '.join(self.names)}: {len(self.coefficients)} terms, leaves "
+            f"{self.response.error:.2g} of the variance>"
         )
 
     def _repr_html_(self) -> str:
@@ -245,24 +236,18 @@ class Expansion:
         """Degrees (P, d) of the terms in each germ."""
         return self.fit.multi_indices
 
-    @property
-    def germs(self) -> tuple[GermLike, ...]:
-        """The germs of the inputs."""
-        return self.fit.germs
-
     def inside(self, rows: Any) -> Flags:
         """Which rows (n,) lie where the laws of the inputs do."""
-        x = columns_of(rows, self.names)
-        pairs = zip(self.joint.laws, x.T, strict=True)
-        within = [(law.cdf(c) > 0.0) & (law.sf(c) > 0.0) for law, c in pairs]
-        return np.asarray(np.all(within, axis=0))
+        pairs = zip(self.joint.laws, columns_of(rows, self.names).T, strict=True)
+        inside = [np.minimum(*law.tails(column)) > 0.0 for law, column in pairs]
+        return np.asarray(np.all(inside, axis=0))
 
     def germs_at(self, rows: Any) -> Array:
         """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output
         (or ln of it).
         """
-        points = _points(self.joint, self.germs, columns_of(rows, self.names))
-        return np.column_stack(list(map(values_of, self.germs, points.T)))
+        points = self._points(columns_of(rows, self.names))
+        return np.column_stack(list(map(values_of, self.fit.germs, points.T)))
 
     def predict(self, rows: Any, level: float = LEVEL, *, outside: str = "raise") -> Prediction:
         """What the model would answer to rows, with the interval that holds the answer at this
@@ -290,7 +275,7 @@ class Expansion:
             raise UsageError(
                 f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'"
             )
-        points = _points(self.joint, self.germs, x)
+        points = self._points(x)
         value = predict(self.fit, points)
         half = np.full(len(x), math.inf)
         inverse, scores = self._scores
@@ -303,8 +288,11 @@ class Expansion:
             value=value, low=value - half, high=value + half, index=index_of(rows, self.names)
         )
 
+    def _points(self, x: Array) -> Array:
+        return _points(self.joint, self.fit.germs, x)
+
     def _rows(self, points: Array) -> Array:
-        return rows_of(self.germs, points, self.multi_indices)
+        return rows_of(self.fit.germs, points, self.multi_indices)
 
     def _slope(self, value: Array) -> Array:
         """What the output moves by where the fitted polynomial moves by one."""
@@ -315,10 +303,8 @@ class Expansion:
     @cached_property
     def _scores(self) -> tuple[Array, Array]:
         """(P'P)⁻¹ of the rows, and what each of them is off by, over its standard error without
-        itself, by size; empty where there are no rows.
+        itself, by size.
         """
-        if self.response is None:
-            return np.empty((0, 0)), np.empty(0)
         rows = self._rows(self.response.points)
         inverse: Any = np.linalg.pinv(rows @ rows.T)
         leverage = np.minimum(_leverage(inverse, rows), 1.0 - 1e-9)
@@ -340,12 +326,12 @@ class Expansion:
 
         rng = random_generator(seed=seed, task="expansion")
         x = self.joint.physical(rng.standard_normal((count, len(self.names))))
-        value = predict(self.fit, _points(self.joint, self.germs, x))
+        value = predict(self.fit, self._points(x))
         return DataFrame(x, columns=list(self.names)).assign(output=value)
 
     def quantiles(self, p: ArrayLike, *, count: int = 1 << 17, seed: int = 0) -> Array:
         """Quantiles of the expansion's values at probabilities, of so many draws of the inputs."""
-        draws = self.sample(count, seed=seed)["output"].to_numpy()
+        draws = self.sample(count, seed=seed)["output"].to_numpy(dtype=float)
         return np.asarray(np.quantile(draws, np.asarray(p, dtype=float)), dtype=float)
 
     def save(self, path: str | Path) -> None:
@@ -370,10 +356,6 @@ class Expansion:
         """{"first", "total"} by input, with intervals; Kucherenko's, and {"shapley"}, where inputs
         are tied.
         """
-        if self.response is None:
-            raise UsageError(
-                "this expansion has no rows of its own: its indices are in the answers of the run"
-            )
         if self.joint.dependent:
             shares = dependent_shares(self.response, self.joint)
         else:
@@ -430,12 +412,10 @@ def _stored(part: Any) -> Any:
         return {"class": "Germ", "law": part.law}
     if isinstance(part, Mapping):
         return dict(part)
-    if type(part).__name__ not in PARTS:
+    name = type(part).__name__
+    if name not in PARTS:
         raise UsageError(f"a file cannot keep the functions of {part}: give its parameters")
-    return {
-        "class": type(part).__name__,
-        **{each.name: getattr(part, each.name) for each in fields(part)},
-    }
+    return {"class": name} | {each.name: getattr(part, each.name) for each in fields(part)}
 
 
 #: parts of an expansion by the name that its file has for them
