@@ -178,7 +178,7 @@ class Settling:
         """
         governing = settled.governing
         aim = settled.aim
-        alone = len(aim.limits) == 1 and governing.limit is aim.limits[0]
+        alone = aim.limits == (governing.limit,)
         if governing.code == "assumed strength" or (settled.number is None and not alone):
             return self.once(aim.without(governing.limit.name), settled.line).number
         gone = governing.key[:2]

@@ -42,8 +42,8 @@ def fragility(design: Design, tables: Tables) -> Rows:
     for limit in design.judged.limits:
         subject = design.subject(limit)
         fitted = curve_of(design, tables, limit)
-        for at, *ends in fitted.curve:
-            yield number_row(subject, "curve", at, *ends, method=METHOD, runs=runs)
+        for row in fitted.curve:
+            yield number_row(subject, "curve", *row, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
             unit = lookup(margins.solve).unit
             yield estimate_row(subject, "margin", p, estimate, unit=unit, runs=runs)

@@ -72,10 +72,6 @@ class Line:
     def _counts(self) -> list[int]:
         return [sample.count for sample in self.samples.values()]
 
-    @cached_property
-    def _starts(self) -> list[int]:
-        return [0, *np.cumsum(self._counts)[:-1].tolist()]
-
     def seen(self, probability: Array) -> Array:
         """Probabilities (..., K, R): none seen in the rows of a value stands for half a row."""
         half = 0.5 / (np.array(self._counts)[:, None] * self.rows.replicates)
@@ -114,12 +110,13 @@ class Line:
 
     def means(self, rows: Array) -> Array:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
+        starts = np.cumsum([0, *self._counts[:-1]])
         lost = np.isnan(rows)
         kept: Array = np.array(self._counts, dtype=float)
         if lost.any():
-            kept = np.maximum(np.add.reduceat((~lost).astype(float), self._starts, axis=1), 1.0)
+            kept = np.maximum(np.add.reduceat((~lost).astype(float), starts, axis=1), 1.0)
             rows = np.where(lost, 0.0, rows)
-        return (np.add.reduceat(rows, self._starts, axis=1) / kept).T
+        return (np.add.reduceat(rows, starts, axis=1) / kept).T
 
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""
