@@ -102,7 +102,7 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
         larger = {
             "grow": {"FIRST": 4096, "VALUES": 97},
             "chaos": {"MOST_ROWS": 2048, "MOST_TERMS": 4096},
-            "fracture": {"SPECIMENS": 256, "MOST": 4096},
+            "limits": {"SPECIMENS": 256, "SPHERES": 4096},
         }
         with pytest.MonkeyPatch.context() as patch:
             for module, numbers in larger.items():
