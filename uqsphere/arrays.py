@@ -2,7 +2,7 @@
 called.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, dataclass_transform
 
@@ -16,6 +16,8 @@ Places: TypeAlias = NDArray[np.int64]
 Names: TypeAlias = Sequence[str]
 #: a number or an array of numbers: argument and result of elementwise formulas
 Values: TypeAlias = Any
+#: columns by name, each a number or an array (n,)
+ColumnMap: TypeAlias = Mapping[str, Values]
 #: numbers or flags of any kind, plain or in named columns
 Cells: TypeAlias = NDArray[Any]
 #: decorator of formulas that are evaluated in every row, also where they are not valid or not used

@@ -4,11 +4,12 @@ W. K. Nowacki, Engng. Trans. 42(3), 263–279, 1994; docs/errata.md says what is
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Values
+from uqsphere.arrays import Values, frozen
 from uqsphere.mechanics.closed_form import massless_approach, solve_closed
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers
@@ -30,8 +31,7 @@ _LOSS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PaperValue:
+class PaperValue(NamedTuple):
     """One quantity by the paper's printed formula, by the corrected one, and by the full model.
 
     quantity: its key.  name: what it is called.  printed, corrected, full: values in SI, None where
@@ -50,7 +50,7 @@ class PaperValue:
     note: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class PaperLine:
     """A `PaperValue` as people read it: numbers in `unit`, None where there is no value."""
 
@@ -107,19 +107,23 @@ def paper_line(value: PaperValue) -> PaperLine:
     )
 
 
-def compare_with_paper(
-    scene: Scene, row: int = 0, *, tolerance: float = 1e-8
-) -> tuple[PaperValue, ...]:
-    """The paper's printed values beside the corrected ones and the full model's, for one row.
+def compare_with_paper(scene: Scene, *, tolerance: float = 1e-8) -> tuple[PaperValue, ...]:
+    """The paper's printed values beside the corrected ones and the full model's, for the first row.
 
     tolerance: relative error of the integration of the full model.  Returns one `PaperValue` a
-    formula, in the order of the paper.  ValueError if the row lies outside the domain of the model.
+    formula, in the order of the paper.  ValueError if it lies outside the domain of the model.
     """
-    row = range(len(scene))[row]
-    if scene.status[row] != 0:
-        raise ValueError(f"row {row} cannot be compared: {STATUS[int(scene.status[row])]}")
-    scene = scene.at(np.array([row]))
-    corrected = solve_closed(_idealised(scene), "massless")
+    scene = scene.at(slice(1))
+    (status,) = scene.status.tolist()
+    if status:
+        raise ValueError(f"row 0 cannot be compared: {STATUS[status]}")
+    # under a rectangular pulse of its length, or under its step
+    horizon = None
+    shape = "rectangular"
+    if scene.shape == "step":
+        horizon = scene.horizon or float(scene.record_end[0])
+        shape = "step"
+    corrected = solve_closed(_in_infinite_bars(scene, shape, horizon), "massless")
     full = solve(scene, tolerance=tolerance)
     scales = _scales_of(scene)
     speed = float(scene.columns["striker.speed"][0])
@@ -164,8 +168,7 @@ def compare_with_paper(
 def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) -> PaperValue:
     """While alpha = f alpha_max the mean is (2/3) p_max f by (5.9), in place of f^(1/2)."""
     right = 2.0 / 3.0 * math.sqrt(fraction)
-    return replace(
-        peak,
+    return peak._replace(
         quantity=quantity,
         name=f"mean contact pressure at {at}",
         printed=(2.0 / 3.0) * peak.printed * fraction,
@@ -232,14 +235,7 @@ def _number(answers: SceneAnswers, quantity: str) -> float | None:
 
 def _scales_of(scene: Scene) -> dict[str, float]:
     """Scale factors of the only row."""
-    return {name: float(column[0]) for name, column in vars(scene.scales).items()}
-
-
-def _idealised(scene: Scene) -> Scene:
-    """The scene in infinite bars under a rectangular pulse of its length, or under its step."""
-    if scene.shape == "step":
-        return _in_infinite_bars(scene, "step", scene.horizon or float(scene.record_end[0]))
-    return _in_infinite_bars(scene, "rectangular", None)
+    return {name: float(column[0]) for name, column in scene.scales._asdict().items()}
 
 
 def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:

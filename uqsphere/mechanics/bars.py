@@ -15,8 +15,8 @@ mean stress of the section. Sources: D. Bancroft, Phys. Rev. 59, 588 (1941), doi
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from uqsphere.arrays import Array, Values, quiet
 from uqsphere.mechanics.roots import bisect
 
 #: velocity reflection coefficient of a far end
-END_COEFFICIENTS: dict[str, float] = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
+END_COEFFICIENTS = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}
 
 
 def wave_speed(E: Values, density: Values) -> Values:
@@ -142,8 +142,7 @@ def surface_factors(wave_number: Array, speed: Array, nu: float) -> tuple[Array,
     return strain, stress
 
 
-@dataclass(frozen=True, kw_only=True)
-class FirstMode:
+class FirstMode(NamedTuple):
     """The first mode of a bar in units of its radius and c0, tabulated over the wave number.
 
     frequency, wave_number (m,): omega radius/c0 and k radius, from rest on, ascending.  band:
@@ -170,8 +169,7 @@ def _second_mode(nu: float) -> float:
     p2 = np.square(trial / dilatation)
     q2 = np.square(trial / shear)
     zero_p, one_p = _bessel(p2)
-    radial = 2.0 * p2 * one_p - q2 * zero_p
-    changes = trial[:-1][np.diff(np.sign(radial)) != 0.0]
+    changes = trial[:-1][np.diff(np.sign(2.0 * p2 * one_p - q2 * zero_p)) != 0.0]
     first_zero_of_j1 = 3.8317059702075125
     return float(min([*changes[:1], first_zero_of_j1 * shear]))
 

@@ -11,7 +11,7 @@ energy balance.  Equation numbers (R...) refer to docs/theory.md.
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from functools import cache
 from importlib import resources
 
@@ -19,7 +19,8 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Values, quiet
+from uqsphere.mechanics import contact
 from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
 from uqsphere.mechanics.outputs import SceneAnswers, answers_from, merged_answers
 from uqsphere.mechanics.rigs import LARGEST_LAM
@@ -182,7 +183,7 @@ def _impact_table() -> Array:
         return np.loadtxt(lines, delimiter=",", skiprows=1)
 
 
-def elastic_impact(lam: Array) -> Mapping[str, Array]:
+def elastic_impact(lam: Array) -> ColumnMap:
     """Restitution, peak force, contact time and rise time at lam, (R10) to (R13); NaN above 3.
 
     Force in beta^0.4 M*^0.6 v^1.2, times in (M*²/(beta² v))^0.2.  Above 3 a plate is punched.
@@ -195,7 +196,7 @@ def elastic_impact(lam: Array) -> Mapping[str, Array]:
     return dict(zip(_COLUMNS, values, strict=True))
 
 
-def _elastic(scene: Scene, ahead: Partner, force: Array) -> Mapping[str, Array]:
+def _elastic(scene: Scene, ahead: Partner, force: Array) -> ColumnMap:
     """`_COLUMNS` of an impact of unit force `force` on a counter-body.
 
     Also `radiated`, the integral of q²: the lost energy is radiated, (1 - e²)/2 = lam times it.
@@ -218,8 +219,7 @@ def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
 
 def light_sphere_constant(behind: Values, ahead: Values) -> Values:
     """Hertz constant of two contacts in series, with a massless sphere between them, (R15)."""
-    compliance = behind ** (-2.0 / 3.0) + ahead ** (-2.0 / 3.0)
-    return compliance**-1.5
+    return (behind ** (-2.0 / 3.0) + ahead ** (-2.0 / 3.0)) ** -1.5
 
 
 # --- scenes ---------------------------------------------------------------------------------------
@@ -310,12 +310,12 @@ def _light(scene: Scene) -> dict[str, Array]:
     moved = reduced_mass(behind.mass, ahead.mass)
     force = both**0.4 * moved**0.6 * scales.speed**1.2
     at = _elastic(scene, ahead, force)
-    time = np.cbrt(np.square(force / both)) / scales.speed / scales.time
+    time = contact.approach_at_force(force, both) / (scales.speed * scales.time)
     q = at["force"] * force / scales.force
-    slow_a = np.cbrt(np.square(q))
-    slow_b = np.cbrt(np.square(q * behind.hertz_constant / ahead.hertz_constant))
+    slow_a = q ** (2.0 / 3.0)
+    slow_b = (q * behind.hertz_constant / ahead.hertz_constant) ** (2.0 / 3.0)
     # the sphere oscillates between the contacts: their peaks are higher, the energies hardly
-    raised = np.cbrt(np.square(1.0 + _SWING * (scales.mass / moved) ** _SWING_POWER))
+    raised = (1.0 + _SWING * (scales.mass / moved) ** _SWING_POWER) ** (2.0 / 3.0)
     share = behind.mass / (behind.mass + ahead.mass)
     return {
         **dict.fromkeys(("x_max", "x_a"), raised * slow_a),
@@ -352,7 +352,7 @@ def _impact(scene: Scene) -> dict[str, Array]:
         at = _elastic(scene, ahead, scales.force)
         restitution = at["restitution"]
         peak = at["force"]
-        x = np.cbrt(np.square(peak))
+        x = peak ** (2.0 / 3.0)
         rest = {
             "stored": 0.4 * peak * x,
             "rise": at["rise"],
@@ -429,7 +429,7 @@ def _pressed(scene: Scene) -> dict[str, Array]:
         force = _force_at(partner, c["platens.displacement"], softness)
     face = partner.face
     if face is None:
-        approach = np.cbrt(np.square(force / partner.hertz_constant))
+        approach = contact.approach_at_force(force, partner.hertz_constant)
         slope = 1.5 * force / approach
         stored = 0.4 * force * approach
     else:

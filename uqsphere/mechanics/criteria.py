@@ -10,18 +10,17 @@ would count as survival.
 import math
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Flags, Values, frozen, quiet
 from uqsphere.mechanics import contact, stress
 from uqsphere.mechanics.inputs import declared
 from uqsphere.units import Quantity
 
-ColumnMap = Mapping[str, Values]
 Parameters = Mapping[str, float]
 #: further quantities: name -> criterion and its parameters
 Demands = Mapping[str, tuple[str, Parameters]]
@@ -32,7 +31,7 @@ AUERBACH = 8.6e3
 #: demand, over the largest fracture energy, of energies that break every particle
 _CERTAIN = 1e9
 #: every parameter of every criterion
-PARAMETERS: dict[str, Quantity] = {
+PARAMETERS = {
     name: Quantity(
         name=name, symbol="", dimension=dimension, meaning=meaning, lower=lower, upper=upper
     )
@@ -46,7 +45,7 @@ PARAMETERS: dict[str, Quantity] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Criterion:
     """One criterion; fields as explained in criteria.toml."""
 
@@ -123,7 +122,7 @@ def demand(
     largest: Array = np.maximum.reduce(demands)
     if "rate_0" in parameters:
         rate = np.maximum(strain_rate(columns), 0.0)
-        largest = largest / (1.0 + np.cbrt(np.square(rate / parameters["rate_0"])))
+        largest = largest / (1.0 + (rate / parameters["rate_0"]) ** (2.0 / 3.0))
     return largest
 
 
@@ -133,7 +132,7 @@ def _chain(*maps: ColumnMap) -> ColumnMap:
 
 
 def ranges_of(
-    criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
+    criterion: Criterion, columns: ColumnMap, parameters: Parameters
 ) -> Iterator[tuple[str, Array, float, float]]:
     """Ranges of a criterion: the name, its values, (n,) or (1,), and both ends of the range."""
     ratio = {"a/r": columns["a_max"] / columns["sphere.radius"]}
@@ -172,14 +171,6 @@ def _central_force(c: ColumnMap) -> Values:
     return _first(c, "force_at_centre", "P_max")
 
 
-def _ring_crack(c: ColumnMap) -> Values:
-    """Toughness at which a ring crack just becomes a cone crack [Pa sqrt(m)].
-
-    K = sqrt(P E/(A r)), A = 8600: Auerbach's law P_C = A K_Ic² r/E solved for the toughness.
-    """
-    return np.sqrt(c["P_max"] * c["sphere.E"] / (AUERBACH * c["sphere.radius"]))
-
-
 def _between(one: Values, two: Values, balance: Values) -> Values:
     """Stress under unequal forces, (R20): `one` of one force alone, `two` of two equal forces.
 
@@ -187,6 +178,12 @@ def _between(one: Values, two: Values, balance: Values) -> Values:
     integral is lower, since a norm is convex.
     """
     return one + (two - one) * balance
+
+
+def _stress(c: ColumnMap, name: str) -> Values:
+    """A stress of the tables [Pa]."""
+    pressure, ratio, nu = _field(c)
+    return pressure * stress.ratio(name, ratio, nu)
 
 
 def _core(c: ColumnMap) -> Values:
@@ -198,8 +195,7 @@ def _core(c: ColumnMap) -> Values:
 
 
 def _equator(c: ColumnMap) -> Values:
-    pressure, ratio, nu = _field(c)
-    tension = pressure * np.square(ratio) * stress.ratio("equator", ratio, nu)
+    tension = _stress(c, "equator") * np.square(c["a_max"] / c["sphere.radius"])
     if "force_at_centre" in c:
         tension = tension * (_central_force(c) / c["P_max"])
     return tension
@@ -208,11 +204,6 @@ def _equator(c: ColumnMap) -> Values:
 def _nominal(c: ColumnMap, factor: float = 1.0) -> Values:
     """A factor times P/D² [Pa]; 0.9 is the practice for irregular lumps."""
     return factor * _central_force(c) / np.square(2.0 * c["sphere.radius"])
-
-
-def _shear(c: ColumnMap) -> Values:
-    pressure, ratio, nu = _field(c)
-    return pressure * stress.ratio("shear", ratio, nu)
 
 
 def strain_rate(c: ColumnMap) -> Values:
@@ -275,7 +266,9 @@ def _specific_energy(c: ColumnMap, name: str) -> Values:
 FORMULAS: dict[str, Callable[[ColumnMap], Values]] = {
     "contact_pressure": lambda c: c["p_max"],
     "edge_tension": lambda c: contact.edge_tension(_first(c, "p_rim", "p_max"), c["sphere.nu"]),
-    "ring_crack": _ring_crack,
+    # toughness [Pa sqrt(m)] at which a ring crack just becomes a cone crack, K = sqrt(P E/(A r)):
+    # Auerbach's law P_C = A K_Ic² r/E, A = 8600, solved for the toughness
+    "ring_crack": lambda c: np.sqrt(c["P_max"] * c["sphere.E"] / (AUERBACH * c["sphere.radius"])),
     "core_tension": _core,
     "centre_tension": lambda c: contact.centre_tension(
         _central_force(c), c["sphere.radius"], c["sphere.nu"]
@@ -286,7 +279,7 @@ FORMULAS: dict[str, Callable[[ColumnMap], Values]] = {
     "weakest_link_volume": partial(_weakest_link, over="volume"),
     "weakest_link_surface": partial(_weakest_link, over="surface"),
     "weakest_link_rim": _weakest_rim,
-    "subsurface_shear": _shear,
+    "subsurface_shear": lambda c: _stress(c, "shear"),
     **{
         name: partial(_specific_energy, name=name)
         for name in ("specific_energy", "specific_energy_sphere", "specific_impact_energy")

@@ -10,12 +10,11 @@ energy of both bodies is limited it has partner, (1 - nu²)/E [1/Pa] of the coun
 own rig.  Platens have E [Pa], infinite if rigid, and nu.
 """
 
-from collections.abc import Mapping
 from typing import TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Values, quiet
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, Parameters, demand
 from uqsphere.mechanics.outputs import Columns, pressures_of
@@ -28,7 +27,7 @@ Demand: TypeAlias = str | tuple[str, Parameters]
 def value_at(
     force: Array,
     of: Demand,
-    sphere: Mapping[str, Values],
+    sphere: ColumnMap,
     radius: Array,
     platens: tuple[float, float],
     rate: Array | None = None,
@@ -39,8 +38,13 @@ def value_at(
     beta = contact.hertz_constant(modulus, radius)
     share = modulus * (1.0 - np.square(own["nu"])) / own["E"]
     if "takes" in own:
-        law = {"onset": own["onset_pressure"], "hardness": own["hardness"]}
-        face = Face(**law, pile_up=own["pile_up"], modulus=modulus, effective_radius=radius)
+        face = Face(
+            onset=own["onset_pressure"],
+            hardness=own["hardness"],
+            pile_up=own["pile_up"],
+            modulus=modulus,
+            effective_radius=radius,
+        )
         state = face.pressed(face.depth_at(force))
         press = pressures_of(state, modulus, radius, own["takes"])
         stored = 2.0 * state.stored
@@ -81,7 +85,7 @@ def value_at(
 def force_at(
     value: Values,
     of: Demand,
-    sphere: Mapping[str, Values],
+    sphere: ColumnMap,
     radius: Values,
     platens: tuple[float, float],
 ) -> Array:

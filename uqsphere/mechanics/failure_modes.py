@@ -7,13 +7,13 @@ a formula in `criteria.FORMULAS`.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Literal
 
+from uqsphere.arrays import frozen
 from uqsphere.units import Quantity
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class FailureMode:
     """One failure mode.
 

@@ -6,7 +6,7 @@ leave it determine the whole bar.  The paper's (3.17) holds for gauges midway al
 length without reflections; here a gauge may be anywhere, and every reflection is in its signal.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -82,8 +82,7 @@ def _pulse(motion: Motion, times: Array) -> Values:
 # distance from the sphere), so that theory (4) and (5) at the contacts give the whole plane.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Field:
+class Field(NamedTuple):
     """Stress [Pa], tension positive, and particle velocity [m/s], positive from A to B."""
 
     stress: Array
@@ -126,7 +125,7 @@ def field_at(
     away = leaving(motion, number, times - delay, sides=sides)
     density = motion.scene.columns["bars.density"][motion.row]
     stress = density * motion.wave_speed * _pull(number, away, towards)
-    return Field(stress=stress, velocity=towards + away)
+    return Field(stress, towards + away)
 
 
 def _pull(number: int, away: Values, towards: Values) -> Values:
@@ -158,13 +157,12 @@ def field_grid(motion: Motion, places: Array, times: Array) -> Field:
     The sphere is at 0; positions are negative in the incident bar and positive in the receiving
     bar.
     """
-    stress, velocity = np.zeros((2, len(times), len(places)))
+    both = np.zeros((2, len(times), len(places)))
     for bar, inside in (("incident", places <= 0.0), ("receiving", places > 0.0)):
         distances, instants = np.meshgrid(np.abs(places[inside]), times)
         field = field_at(motion, bar, distances.ravel(), instants.ravel())
-        stress[:, inside] = field.stress.reshape(distances.shape)
-        velocity[:, inside] = field.velocity.reshape(distances.shape)
-    return Field(stress=stress, velocity=velocity)
+        both[:, :, inside] = np.reshape(field, (2, *distances.shape))
+    return Field(*both)
 
 
 # --- the first tension of a bar -------------------------------------------------------------------
@@ -179,8 +177,7 @@ _ZOOMS = 12
 _ZOOM_POINTS = 33
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tension:
+class Tension(NamedTuple):
     """Where and when a bar is first under tension: distance from the sphere [m], time [s]."""
 
     bar: str
@@ -245,9 +242,7 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
         low = point - width
         high = point + width
     begin, end = point.tolist()
-    return Tension(
-        bar=bar, position=0.5 * motion.wave_speed * (end - begin), time=0.5 * (begin + end)
-    )
+    return Tension(bar, 0.5 * motion.wave_speed * (end - begin), 0.5 * (begin + end))
 
 
 def _search_times(motion: Motion, number: int) -> Array:
@@ -272,8 +267,7 @@ _ENDED_LEVEL = 0.01
 _END_POINTS = 4000
 
 
-@dataclass(frozen=True, kw_only=True)
-class Overlap:
+class Overlap(NamedTuple):
     """Two waves that overlap at a gauge: their names, begin and end [s]."""
 
     first: str
@@ -282,8 +276,7 @@ class Overlap:
     end: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class GaugeRecord:
+class GaugeRecord(NamedTuple):
     """The signal of one gauge.
 
     bar: `incident`, `receiving` or `rod`.  position: distance from the sphere [m].  time, strain
@@ -336,11 +329,11 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     jumps = jumps[(jumps > begin) & (jumps < end)]
     times, sides = with_jumps(np.linspace(begin, end, points), jumps)
     return GaugeRecord(
-        bar=bar,
-        position=position,
-        time=times,
-        strain=gauge_strain(motion, bar, position, times, sides=sides),
-        overlaps=overlaps(motion, bar, position),
+        bar,
+        position,
+        times,
+        gauge_strain(motion, bar, position, times, sides=sides),
+        overlaps(motion, bar, position),
     )
 
 
@@ -379,7 +372,7 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
     if number == 0 and motion.pulse_end > 2.0 * delay:
         # a step overlaps to the end of the computed time
         end = min(motion.pulse_end - delay, last_time(motion, bar, position))
-        overlapping.append(Overlap(first="incident", second="reflected", begin=delay, end=end))
+        overlapping.append(Overlap("incident", "reflected", delay, end))
     if not motion.echoes(number):
         return tuple(overlapping)
     # return of the wave that leaves the contact, in the time of the contact
@@ -396,7 +389,7 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         )[number]
         if above.size and above[-1] > back:
             end = float(above[-1]) + delay
-            overlapping.append(Overlap(first=first, second=second, begin=back + delay, end=end))
+            overlapping.append(Overlap(first, second, back + delay, end))
     return tuple(overlapping)
 
 

@@ -12,7 +12,7 @@ _STRUCK = {
 }
 #: by table and kind: required keys, alternatives separated by a bar; after the semicolon, optional
 #: keys that not every kind of the table has
-FORMS: Mapping[str, Mapping[str, str]] = {
+FORMS = {
     "sphere": {"": "E nu density radius"},
     "insert": {"": "E"},
     "bars": {

@@ -6,15 +6,15 @@ time at which the motion reaches it, within the evaluation window of the quantit
 Criteria with a rate effect use one rate per sample, that of the whole window.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Places, Values, quiet
-from uqsphere.mechanics.criteria import CRITERIA, Demands, demand
+from uqsphere.mechanics.criteria import CRITERIA, Demands, Parameters, demand
 from uqsphere.mechanics.integrator.solve import Motion, motions
 from uqsphere.mechanics.integrator.tracked import ORDER, TERMS
 from uqsphere.mechanics.outputs import OUTPUTS, Columns, columns_of, pressures_of
@@ -29,8 +29,7 @@ _POWERS = _SHARES[None, :] ** np.arange(TERMS)[:, None]
 _BLOCK_ROWS = 256
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoadingPath:
+class LoadingPath(NamedTuple):
     """How a fracture quantity follows the loading.
 
     over: it increases with the peak `force` or `energy` so far.  criterion: the criterion whose
@@ -41,7 +40,7 @@ class LoadingPath:
 
     over: str
     criterion: str | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Parameters = MappingProxyType({})
     early: bool = False
     power: float = 1.0
 
@@ -73,8 +72,7 @@ def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> LoadingPa
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fractures:
+class Fractures(NamedTuple):
     """Fracture of n specimens by L criteria.
 
     times (n, L): first time at which each criterion reaches its strength [s], as if the sphere
@@ -150,8 +148,7 @@ def first_fractures(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Course:
+class _Course(NamedTuple):
     """One row's motion in scaled variables.
 
     start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
@@ -201,15 +198,10 @@ def _course(motion: Motion) -> _Course:
     )
 
 
-def _by_hertz(scene: Scene) -> bool:
-    """Whether both contacts follow Hertz with one constant, so that the approach is the drive."""
-    return scene.by_wave and scene.struck.face is None
-
-
 def _larger_force(scene: Scene, drive: Array) -> Values:
     """The larger contact force over P_c, (n,), of the drives of both contacts, (n, 2)."""
     largest = drive.max(axis=1)
-    if _by_hertz(scene):
+    if scene.by_hertz:
         return largest**1.5
     return largest
 
@@ -220,7 +212,7 @@ def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: A
 
     It is (2/5) sum x^(5/2), theory (18), or (2/5) q (x - x_r), (C10), if contacts yield or differ.
     """
-    if _by_hertz(scene):
+    if scene.by_hertz:
         return 0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1)
     total = np.zeros(push.shape[:-1])
     unit = scene.scales.approach[rows]

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, quiet
+from uqsphere.arrays import Array, Values, frozen, quiet
 from uqsphere.errors import UsageError
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.field import (
@@ -51,8 +51,7 @@ COLUMN_UNITS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContactChange:
+class ContactChange(NamedTuple):
     """Contact loss or recontact: time [s], face `A` or `B`, kind `lost` or `found`."""
 
     time: float
@@ -60,17 +59,16 @@ class ContactChange:
     kind: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class PressurePeak:
-    """Peak contact pressure of a time interval: time [s], face, pressure [Pa], force [N]."""
+class PressurePeak(NamedTuple):
+    """Peak contact pressure of a time interval: face, time [s], pressure [Pa], force [N]."""
 
-    time: float
     face: str
+    time: float
     pressure: float
     force: float
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@frozen(repr=False)
 class History:
     """One scene over time, SI.
 
@@ -136,8 +134,7 @@ class History:
         shown = [name for name in frame.columns if name.startswith(what) and name != "time [s]"]
         if not shown:
             raise UsageError(f"what must be force, pressure, approach or velocity, not {what!r}")
-        axes: Axes = frame.plot(x="time [s]", y=shown, ax=ax)
-        return axes
+        return frame.plot(x="time [s]", y=shown, ax=ax)
 
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Values:
         """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""
@@ -246,7 +243,7 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
         peak = law.pressed(law.depth_at(reached))
         dented = dented or peak.dent.max() > 0.0
         back = peak.approach - peak.dent
-        share = np.cbrt(np.square(np.where(reached > 0.0, force / reached, 0.0)))
+        share = np.where(reached > 0.0, force / reached, 0.0) ** (2.0 / 3.0)
         # a² = r_p (alpha - alpha_r) on the spring, (C9)
         radii[pole] = np.where(reached > 0.0, peak.radius * np.sqrt(share), 0.0)
         approaches[pole] = peak.dent + np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
@@ -308,8 +305,8 @@ def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ..
         )
         for time, before in zip(times, pressed[at], strict=True):
             kind = "lost" if before else "found"
-            changes.append(ContactChange(time=float(time), face=name, kind=kind))
-    return tuple(sorted(changes, key=lambda change: (change.time, change.face)))
+            changes.append(ContactChange(float(time), name, kind))
+    return tuple(sorted(changes))
 
 
 def largest(course: Motion, begin: float, end: float) -> PressurePeak | None:
@@ -338,7 +335,7 @@ def largest(course: Motion, begin: float, end: float) -> PressurePeak | None:
         force = float(course.forces_at(np.array([time]))[0, face])
         pressure = float(np.ravel(course.pressure_at(force, face))[0])
         if force > 0.0 and (best is None or pressure > best.pressure):
-            best = PressurePeak(time=time, face=name, pressure=pressure, force=force)
+            best = PressurePeak(name, time, pressure, force)
     return best
 
 
@@ -404,14 +401,13 @@ def rod_record(course: Motion, position: float, times: Array) -> GaugeRecord:
     away = leaving(course, 1, times - delay)
     towards = arriving(course, 1, times + delay)
     strain = (towards - away) / speed
-    return GaugeRecord(bar="rod", position=position, time=times, strain=strain)
+    return GaugeRecord("rod", position, times, strain)
 
 
 # --- the bars over place and time -----------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class FieldView:
+class FieldView(NamedTuple):
     """Stress in both bars over place and time, and where and when each bar that sees tension is
     first under it.
 
@@ -429,7 +425,7 @@ class FieldView:
     tensions: tuple[Tension, ...]
 
 
-def view_field(history: History, *, places: int = 300, times: int = 380) -> FieldView:
+def view_field(history: History, *, places: int, times: int) -> FieldView:
     """Stress in the bars on a grid of positions and instants.
 
     In time it covers the evaluation window, and at least one round trip if waves are reflected.

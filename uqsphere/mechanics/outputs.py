@@ -6,15 +6,14 @@ all of it is in ``criteria.toml``.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
-from operator import itemgetter
-from types import MappingProxyType
+from dataclasses import replace
+from functools import partial, reduce
+from operator import itemgetter, or_
 from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Flags, Places, Values, frozen, quiet
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, DEMANDS, Demands, demand
 from uqsphere.mechanics.inputs import declared
@@ -46,14 +45,14 @@ OUTPUTS |= {
 }
 
 
-def _hertz_pressure(columns: Mapping[str, Values], force: Values) -> Values:
+def _hertz_pressure(columns: ColumnMap, force: Values) -> Values:
     """p_0 of the contact that gives the scale factors, at a force [N]."""
     return contact.pressure_at_force(force, columns["modulus"], columns["effective_radius"])
 
 
 #: quantities as functions of columns: of the scene, its scale factors, the integrator, and other
 #: quantities
-FORMULAS: dict[str, Callable[[Mapping[str, Values]], Values]] = {
+FORMULAS = {
     "p_max": lambda c: _hertz_pressure(c, c["P_max"]),
     "P_max": lambda c: c["force"] * c["x_max"] ** c["power"],
     "p_hertz": lambda c: _hertz_pressure(c, c["P_max"]),
@@ -125,17 +124,14 @@ def _roots(names: Iterable[str], demands: Demands) -> set[str]:
     return roots
 
 
-def wishes(quantities: Collection[str] | None, demands: Demands = MappingProxyType({})) -> int:
+def wishes(quantities: Collection[str] | None, demands: Demands) -> int:
     """Flags `tracked.WANT_*` of what the integrator must track for quantities and demands.
 
     quantities: all of `OUTPUTS` if None.
     """
-    wanted = 0
-    if quantities is None:
-        quantities = OUTPUTS.keys()
-    for name in _roots(quantities, demands) & SCALED.keys():
-        wanted |= SCALED[name][1]
-    return wanted
+    names = OUTPUTS if quantities is None else quantities
+    roots = _roots(names, demands) & SCALED.keys()
+    return reduce(or_, (SCALED[name][1] for name in roots), 0)
 
 
 # --- contacts that differ, or yield ---------------------------------------------------------------
@@ -199,19 +195,20 @@ _LARGEST = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_l
 _OPPOSITE = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
-def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
+def _of_faces(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
     """Columns of contacts that differ or yield: of each contact ("sides"), and of the row.
 
     The stress inside the sphere depends on the force at the other contact as well: `balance` is
     that force over the contact's own, at its peak.
     """
-    if scene.by_wave and scene.struck.face is None:
+    if scene.by_hertz:
         return {}
     force = scene.scales.force
     single = len(scene.there) == 1
     sides = []
     for partner in scene.there:
         side = _side(scene, partner, tracked[f"x_{partner.pole}"])
+        side |= {"share": partner.share, "takes": partner.takes}
         if not scene.by_wave:
             other = 0.0 if single else force * tracked[_OPPOSITE[partner.pole]]
             side["balance"] = np.where(side["P_max"] > 0.0, other / side["P_max"], 0.0)
@@ -226,15 +223,14 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
 
     def energy_of_sphere() -> Values:
         """chi of the energy in each contact, and plastic work where the sphere itself yields."""
-        contacts = list(zip(scene.there, sides, strict=True))
         unit = force * scene.scales.approach
         if single or scene.by_wave:
             energy = scene.struck.share * (unit * tracked["stored"])
         elif "stored_sphere" in tracked:
             energy = unit * tracked["stored_sphere"]
         else:
-            energy = sum(partner.share * side["stored"] for partner, side in contacts)
-        return energy + sum(partner.takes * side["dissipated"] for partner, side in contacts)
+            energy = sum(side["share"] * side["stored"] for side in sides)
+        return energy + sum(side["takes"] * side["dissipated"] for side in sides)
 
     columns: dict[str, Any] = {
         "sides": sides,
@@ -254,7 +250,7 @@ def _of_faces(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
     return columns
 
 
-def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
+def _of_impact(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
     """Columns of an impact: its energy, speeds after it, energy radiated as waves."""
     if not scene.setup.by_impact:
         return {}
@@ -277,7 +273,7 @@ def _of_impact(scene: Scene, tracked: Mapping[str, Array]) -> dict[str, Any]:
                 total = total + scales.force**2 * scales.time / partner.impedance * tracked[name]
         return total
 
-    columns: dict[str, Any] = {"offered": offered, "carried_off": carried_off}
+    columns = {"offered": offered, "carried_off": carried_off}
     if behind is not None:
         return columns | dict.fromkeys(("leaving", "parting_speed"), -tracked["end_speed_a"])
     back = -tracked["end_speed"]
@@ -374,7 +370,7 @@ def absent_in(scene: Scene, quantity: str) -> str:
 # --- answers of a batch ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class SceneAnswers:
     """Quantities of interest of n rows, (n,) arrays.
 
@@ -421,12 +417,12 @@ def _value(scene: Scene, columns: Columns, quantity: str) -> Values:
 @quiet
 def answers_from(
     scene: Scene,
-    tracked: Mapping[str, Array],
+    tracked: ColumnMap,
     status: Places,
     steps: Places,
     *,
     linear: bool = False,
-    quantities: Collection[str] | None = None,
+    quantities: Collection[str] | None,
 ) -> SceneAnswers:
     """Answers in SI from scaled results of the integrator or of a closed form.
 
@@ -443,8 +439,11 @@ def answers_from(
     values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.isfinite([columns["x_max"], *values.values()]).all(axis=0)
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
-    if not scene.by_wave:
-        status = np.where(answered(status) & _wider_than_its_rod(scene, columns), DOMAIN, status)
+    for partner, side in zip(scene.there, columns.get("sides", ()), strict=False):
+        if partner.kind == "bar" and not scene.by_wave:
+            # the contact is wider than the end of its rod
+            wide = 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
+            status = np.where(answered(status) & wide, DOMAIN, status)
     good = answered(status)
     return SceneAnswers(
         values={name: np.where(good, value, np.nan) for name, value in values.items()},
@@ -459,13 +458,3 @@ def answers_from(
         record=scene.scales.time * columns["ended"],
         steps=steps,
     )
-
-
-@quiet
-def _wider_than_its_rod(scene: Scene, columns: Columns) -> Flags:
-    """Rows of a rig without a wave whose contact is wider than the end of a bar, (n,)."""
-    wider = np.zeros(len(scene), dtype=bool)
-    for partner, side in zip(scene.there, columns["sides"], strict=True):
-        if partner.kind == "bar":
-            wider |= 2.0 * side["a_max"] > scene.columns[f"{partner.table}.diameter"]
-    return wider

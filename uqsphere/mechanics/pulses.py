@@ -5,14 +5,13 @@ formula), so that the integrator can end its steps exactly where a pulse or a de
 shapes conserve the striker's impulse where theory (20) says so.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, ColumnMap, Flags, Values, frozen
 
 #: default level of the valley of a two-peak pulse, over the lower peak
 DEFAULT_VALLEY = 0.75
@@ -21,8 +20,7 @@ _FAINT_STEP = 1e-3
 _MOST_STEPS = 32
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pulse:
+class Pulse(NamedTuple):
     """Pieces of n pulses of one shape.
 
     breaks (n, m + 1): start of each piece and the end of the last [s]; infinite for a step.
@@ -111,32 +109,32 @@ def _stepped(duration: Array, rise: Array, fall: Array, ratio: Array | None) -> 
     return _pieces(breaks, pieces, valid)
 
 
-def _rectangular(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+def _rectangular(duration: Array, numbers: ColumnMap) -> Pulse:
     abrupt = np.zeros_like(duration)
     if "striker_ratio" in numbers:
         return _stepped(duration, abrupt, abrupt, numbers["striker_ratio"])
     return _pieces([abrupt, duration], [_line(duration, 1.0, 1.0)], duration > 0.0)
 
 
-def _step(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+def _step(duration: Array, numbers: ColumnMap) -> Pulse:
     return _rectangular(np.full_like(duration, np.inf), numbers)
 
 
-def _trapezoid(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+def _trapezoid(duration: Array, numbers: ColumnMap) -> Pulse:
     return _stepped(duration, numbers["rise"], numbers["fall"], numbers.get("striker_ratio"))
 
 
-def _ramp(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+def _ramp(duration: Array, numbers: ColumnMap) -> Pulse:
     return _trapezoid(duration, {**numbers, "fall": np.zeros_like(duration)})
 
 
-def _half_sine(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+def _half_sine(duration: Array, numbers: ColumnMap) -> Pulse:
     flat = _line(duration, 0.0, 0.0)
     pulse = _pieces([np.zeros_like(duration), duration], [flat], duration > 0.0)
-    return replace(pulse, frequency=np.pi / duration)
+    return pulse._replace(frequency=np.pi / duration)
 
 
-def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
+def _two_peak(duration: Array, numbers: ColumnMap) -> Pulse:
     first = numbers["t1"]
     second = numbers["t2"]
     high = numbers["level1"]
@@ -152,7 +150,7 @@ def _two_peak(duration: Array, numbers: Mapping[str, Array]) -> Pulse:
 
 
 #: pulse shapes by name
-SHAPES: dict[str, Callable[[Array, Mapping[str, Array]], Pulse]] = {
+SHAPES = {
     "rectangular": _rectangular,
     "trapezoid": _trapezoid,
     "ramp": _ramp,
@@ -167,7 +165,7 @@ STRIKER_SHAPES = ("rectangular", "trapezoid", "ramp")
 #: the three pulses of the paper's Fig. 2: shape and numbers [s, over v0/2].  Durations, and the
 #: second maximum of the first at about 19 us, are in the paper's text; levels, rise times and the
 #: other times are assumed.
-PRESETS: dict[str, tuple[str, Mapping[str, float]]] = {
+PRESETS = {
     "very_short": (
         "two_peak",
         {"duration": 24.8e-6, "t1": 7e-6, "level1": 1.0, "t2": 19e-6, "level2": 0.6},
@@ -180,7 +178,7 @@ PRESETS: dict[str, tuple[str, Mapping[str, float]]] = {
 }
 
 
-def build_pulse(shape: str, duration: Values, numbers: Mapping[str, Values] | None = None) -> Pulse:
+def build_pulse(shape: str, duration: Values, numbers: ColumnMap | None = None) -> Pulse:
     """Pulses of n rows, of a shape of `SHAPES`.
 
     duration (n,): width t_i [s]: base of a rectangle or half sine, width at half height of a
@@ -225,7 +223,7 @@ _END_LEVEL, _START_LEVEL = 0.1, 0.003
 _FEWEST_SAMPLES = 8
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class MeasuredPulse:
     """The pulse of a record.
 

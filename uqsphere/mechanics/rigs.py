@@ -10,13 +10,11 @@ Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import ColumnMap, Values, frozen
 from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
 
 #: keys of the three parameters of a contact law
@@ -32,7 +30,7 @@ def plate_impedance(E: Values, nu: Values, density: Values, thickness: Values) -
     return 4.0 / math.sqrt(3.0) * np.square(thickness) * stiffness
 
 
-def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> ContactParameters:
+def body_of(columns: ColumnMap, table: str, rigid: bool) -> ContactParameters:
     """Contact parameters of a counter-body: as given, else of a metal; infinite onset if rigid."""
     none = np.full(len(columns["sphere.E"]), np.nan)
     strength, nu = (
@@ -45,7 +43,7 @@ def body_of(columns: Mapping[str, Array], table: str, rigid: bool = False) -> Co
     return body
 
 
-def sphere_body(columns: Mapping[str, Array]) -> ContactParameters:
+def sphere_body(columns: ColumnMap) -> ContactParameters:
     """Contact parameters of the sphere, which is elastic without an onset pressure."""
     elastic = np.full(len(columns["sphere.E"]), np.inf)
     pile_up = np.full_like(elastic, CAP_PILE_UP)
@@ -53,7 +51,7 @@ def sphere_body(columns: Mapping[str, Array]) -> ContactParameters:
 
 
 def law_of(
-    columns: Mapping[str, Array], body: ContactParameters, *, at_onset: bool = False
+    columns: ColumnMap, body: ContactParameters, *, at_onset: bool = False
 ) -> ContactParameters:
     """Contact parameters of sphere and counter-body: of the softer one in each row, unless
     [contact] gives them; with the hardness `at_onset`.
@@ -62,9 +60,7 @@ def law_of(
     return law._replace(hardness=law.onset) if at_onset else law
 
 
-def _with_columns(
-    columns: Mapping[str, Array], table: str, body: ContactParameters
-) -> ContactParameters:
+def _with_columns(columns: ColumnMap, table: str, body: ContactParameters) -> ContactParameters:
     """Contact parameters with those that a table gives."""
     return ContactParameters(
         *(columns.get(f"{table}.{key}", value) for key, value in zip(LAW, body, strict=True))
@@ -86,7 +82,7 @@ _RADIATION = 0.1486
 _PULSE = 3.80584
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Rig:
     """One rig: a set-up that loads the sphere.
 
@@ -150,7 +146,7 @@ class Rig:
 
 
 #: every rig, declared once
-RIGS: dict[str, Rig] = {
+RIGS = {
     rig.name: rig
     for rig in (
         Rig(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, quiet
+from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.inputs import INPUTS
@@ -31,7 +32,7 @@ from uqsphere.mechanics.rigs import (
 from uqsphere.mechanics.yielding import ContactParameters, Face
 
 #: what the status of a row means; only rows with status 0 have values
-STATUS: dict[int, str] = {
+STATUS = {
     0: "ok",
     1: "outside the domain of the model (invalid size, modulus, Poisson ratio or pulse; sphere "
     "wider than its bar; contact wider than its rod; punched plate; hardness below the onset "
@@ -67,8 +68,7 @@ _CHECKED_ONLY = (
 STRIKER_COLUMNS = frozenset({"striker.E", "striker.density", "striker.diameter"})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scales:
+class Scales(NamedTuple):
     """Scale factors and similarity numbers of n rows, theory (8) and (10), (R4) to (R6); SI.
 
     `modulus`, `effective_radius` and `hertz_constant` are those of contact A, or B if there is no
@@ -93,7 +93,7 @@ class Scales:
         return self.duration / self.time
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Partner:
     """The counter-body at one contact; (n,) each.
 
@@ -123,7 +123,7 @@ class Partner:
     takes: Array
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Scene:
     """n scenes that share their structure and differ in their numbers.
 
@@ -165,9 +165,9 @@ class Scene:
         ):
             if word not in allowed:
                 raise ValueError(f"unknown {name} {word!r} (allowed: {', '.join(allowed)})")
-        missing = self._missing_columns()
+        missing = ", ".join(self._missing_columns())
         if missing:
-            raise ValueError(f"columns are missing: {', '.join(missing)}")
+            raise ValueError(f"columns are missing: {missing}")
         unknown = self.columns.keys() - INPUTS.keys()
         if unknown:
             raise ValueError(f"unknown columns: {', '.join(sorted(unknown))}")
@@ -187,7 +187,7 @@ class Scene:
                 f"all columns must have the same shape (n,), not {sorted(map(str, shapes))}"
             )
 
-    def _missing_columns(self) -> list[str]:
+    def _missing_columns(self) -> Iterator[str]:
         """Required columns that are not given."""
         kinds = kinds_of(
             self.rig,
@@ -196,14 +196,12 @@ class Scene:
             infinite=self.infinite,
             options=self.options,
         )
-        missing = []
         for table in ("sphere", *self.setup.tables, "rig"):
             form = FORMS[table].get(kinds.get(table, ""), "")
             for keys in needs_of(form):
                 names = [f"{table}.{key}" for key in keys]
                 if self.columns.keys().isdisjoint(names):
-                    missing.append(names[0])
-        return missing
+                    yield names[0]
 
     def __len__(self) -> int:
         return np.size(next(iter(self.columns.values())))
@@ -229,6 +227,11 @@ class Scene:
     def by_wave(self) -> bool:
         """Whether a stress wave loads the sphere, between bars."""
         return self.setup.by_wave
+
+    @property
+    def by_hertz(self) -> bool:
+        """Whether both contacts follow Hertz with one constant."""
+        return self.by_wave and self.struck.face is None
 
     # --- the pulse --------------------------------------------------------------------------------
 
@@ -303,14 +306,17 @@ class Scene:
     @cached_property
     def round_trips(self) -> Array:
         """Round trips of the bars at A and B, (n, 2) [s]; infinite without a bar, or its length."""
-        none = np.full(len(self), np.inf)
-        return np.stack([p.round_trip if p else none for p in self.partners], axis=1)
+        return self._of_partners("round_trip", np.inf)
 
     @cached_property
     def reflections(self) -> Array:
         """Velocity reflection coefficients of the far ends, (n, 2); 0 without a reflected wave."""
-        none = np.zeros(len(self))
-        return np.stack([p.reflection if p else none for p in self.partners], axis=1)
+        return self._of_partners("reflection", 0.0)
+
+    def _of_partners(self, name: str, absent: float) -> Array:
+        """A number of both counter-bodies, (n, 2); `absent` without one."""
+        none = np.full(len(self), absent)
+        return np.stack([getattr(p, name, none) for p in self.partners], axis=1)
 
     @cached_property
     def first_echo(self) -> Values:

@@ -7,12 +7,12 @@ are excluded.  Thresholds and sentences are in ``validity.toml``.
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import reduce
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, quiet
+from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.criteria import CRITERIA, Parameters, in_range, ranges_of
 from uqsphere.mechanics.inputs import declared
@@ -31,7 +31,7 @@ _USUAL = 0.95
 _FAR = 0.9
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Rule:
     """One check: thresholds of its grades 1, 2, 3 and its sentence; fields as in validity.toml."""
 
@@ -66,7 +66,7 @@ RULES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ValidityCheck:
     """Result of one check over a batch.
 
@@ -95,18 +95,18 @@ class ValidityCheck:
 # --- what the checks measure ----------------------------------------------------------------------
 
 
-class Measures:
-    """The number that each check measures in a batch: a method for every rule, named by its key.
+class Measures(dict[str, Values]):
+    """Columns of a batch and its answers by name, (n,) each, and the number that each check
+    measures of them: a method for every rule, named by its key.
 
     It is (n,), with NaN for rows that the check does not apply to; None for a scene that it does
     not apply to.  Sentences on a breach end with what a method of `ADVICE` adds.
     """
 
     def __init__(self, scene: Scene, answers: SceneAnswers) -> None:
+        super().__init__({**scene.columns, **answers.values})
         self.scene = scene
-        self.columns = scene.columns
         self.answers = answers
-        self.values = answers.values
         self.good = answered(answers.status)
         self.sphere = sphere_body(scene.columns)
         self.partner = softest_partner(scene)
@@ -115,28 +115,28 @@ class Measures:
     # --- contact and yield ---
 
     def small_contact(self) -> Values:
-        return self.values["a_max"] / self.columns["sphere.radius"]
+        return self["a_max"] / self["sphere.radius"]
 
     def one_sided_field(self) -> Values:
-        imbalance = self.values.get("force_imbalance", np.inf)
+        imbalance = self.get("force_imbalance", np.inf)
         return np.where(imbalance > 0.1, self.small_contact(), np.nan)
 
     def contact_on_bar_end(self) -> Values | None:
-        contact_diameter = 2.0 * self.values["a_max"]
+        contact_diameter = 2.0 * self["a_max"]
         return _extreme(np.maximum, [contact_diameter / diameter for diameter, _ in self._bars()])
 
     def bar_yield_contact(self) -> Values:
-        return _over_onset(self.values["p_max"], self.partner.onset)
+        return _over_onset(self["p_max"], self.partner.onset)
 
     def sphere_yield_contact(self) -> Values:
-        return _over_onset(self.values["p_max"], self.sphere.onset)
+        return _over_onset(self["p_max"], self.sphere.onset)
 
     def face_yield(self) -> Values | None:
         """Hertz pressure at peak force / onset pressure of the counter-bodies; the largest."""
         ratios = []
         for partner in self.scene.there:
             radius = partner.effective_radius
-            hertz = contact.pressure_at_force(self.values["P_max"], partner.modulus, radius)
+            hertz = contact.pressure_at_force(self["P_max"], partner.modulus, radius)
             ratios.append(_over_onset(hertz, partner.body.onset))
         return _extreme(np.fmax, ratios)
 
@@ -154,7 +154,7 @@ class Measures:
         )
         rows = np.flatnonzero(self.good & np.isfinite(body.onset) & np.isfinite(body.hardness))
         face = law.at(rows)
-        press = face.pressed(face.depth_at(self.values["P_max"][rows]))
+        press = face.pressed(face.depth_at(self["P_max"][rows]))
         centre = press.centre[np.isfinite(press.centre)]
         dent = press.dent[np.isfinite(press.dent)]
         if len(centre) == 0 or len(dent) == 0:
@@ -165,7 +165,7 @@ class Measures:
 
     def _at_peak(self, number: Callable[[Face, Array], Array]) -> Values | None:
         """A number of each contact that yields, at the depth of the peak force; the largest."""
-        force = self.values["P_max"]
+        force = self["P_max"]
         return _extreme(np.maximum, [number(face, face.depth_at(force)) for face in self.faces])
 
     def dented(self) -> Values | None:
@@ -203,7 +203,7 @@ class Measures:
         return _extreme(np.fmin, ratios)
 
     def insert_thickness(self) -> Values:
-        return 3.0 * self.values["a_max"] / self.scene.column("bars.insert_thickness")
+        return 3.0 * self["a_max"] / self.scene.column("bars.insert_thickness")
 
     # --- waves in the sphere, in bars and in plates ---
 
@@ -217,24 +217,25 @@ class Measures:
         return pairs
 
     def bar_yield_pulse(self) -> Values:
-        c = self.columns
-        level: Values = 1.0
+        level = 1.0
         ratio = self.scene.striker_ratio
         if self.scene.shape == "two_peak":
-            level = np.maximum(c["pulse.level1"], c["pulse.level2"])
+            level = np.maximum(self["pulse.level1"], self["pulse.level2"])
         if ratio is not None:
             level = 2.0 * ratio / (1.0 + ratio)
-        stress = level * bars.pulse_stress(c["striker.speed"], c["bars.E"], c["bars.density"])
+        stress = level * bars.pulse_stress(
+            self["striker.speed"], self["bars.E"], self["bars.density"]
+        )
         return _over_onset(stress, self.scene.column("bars.yield_strength"))
 
     def force_balance(self) -> Values:
-        measured = self.values["force_imbalance"]
+        measured = self["force_imbalance"]
         if np.any(measured > 0.0):
             return measured
         # forces of the massless model are balanced by assumption: the mass number gives an estimate
         factor, power = _IMBALANCE
         scales = self.scene.scales
-        return factor * scales.mass_number**power * scales.force / self.values["P_max"]
+        return factor * scales.mass_number**power * scales.force / self["P_max"]
 
     def quasi_static_sphere(self) -> Values:
         return self._transits("rise_time")
@@ -244,12 +245,11 @@ class Measures:
 
     def _transits(self, time: str) -> Values:
         """Wave transits of the sphere, 2 r/sqrt(E/rho), in a time."""
-        c = self.columns
-        speed = bars.wave_speed(c["sphere.E"], c["sphere.density"])
-        return self.values[time] * speed / (2.0 * c["sphere.radius"])
+        speed = bars.wave_speed(self["sphere.E"], self["sphere.density"])
+        return self[time] * speed / (2.0 * self["sphere.radius"])
 
     def one_dimensional_rod(self) -> Values | None:
-        rise = self.values["rise_time"]
+        rise = self["rise_time"]
         ratios = [rise * speed / (0.5 * diameter) for diameter, speed in self._bars()]
         return _extreme(np.minimum, ratios)
 
@@ -260,7 +260,7 @@ class Measures:
             return None
         rise: Values = 0.5 * scene.pulse.end
         if scene.shape in ("trapezoid", "ramp"):
-            rise = np.minimum(self.columns["pulse.rise"], scene.column("pulse.fall", np.inf))
+            rise = np.minimum(self["pulse.rise"], scene.column("pulse.fall", np.inf))
         elif scene.record is not None:
             rise = scene.record.rise / 0.8
         elif scene.shape == "two_peak":
@@ -288,7 +288,7 @@ class Measures:
     def echo_in_contact(self) -> Values | None:
         if not np.any(np.isfinite(self.scene.first_echo)):
             return None
-        return self.values["loaded_time"] / self.scene.first_echo
+        return self["loaded_time"] / self.scene.first_echo
 
     def _plate(self) -> list[Array] | None:
         """E, nu, density, thickness and width of the counter-body that is a plate."""
@@ -308,8 +308,8 @@ class Measures:
             return None
         E, nu, density, thickness, _ = plate
         sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
-        transits = self.values["loaded_time"] * sound / (2.0 * thickness)
-        return np.minimum(thickness / self.values["a_max"], np.maximum(transits, 2.0))
+        transits = self["loaded_time"] * sound / (2.0 * thickness)
+        return np.minimum(thickness / self["a_max"], np.maximum(transits, 2.0))
 
     def plate_edge(self) -> Values | None:
         """Contact time over the return time of the flexural wave from the plate edge.
@@ -321,7 +321,7 @@ class Measures:
         if plate is None:
             return None
         E, nu, density, thickness, width = plate
-        loaded = self.values["loaded_time"]
+        loaded = self["loaded_time"]
         bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
         return loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width
 
@@ -335,21 +335,20 @@ class Measures:
         moving = self.scene.scales.mass
         if behind is not None:
             moving = moving + behind.mass
-        return moving * GRAVITY / self.values["P_max"]
+        return moving * GRAVITY / self["P_max"]
 
     def drag(self) -> Values:
-        c = self.columns
-        terminal = terminal_speed(c["sphere.radius"], c["sphere.density"])
-        return c["rig.drop_height"] * GRAVITY / terminal**2
+        terminal = terminal_speed(self["sphere.radius"], self["sphere.density"])
+        return self["rig.drop_height"] * GRAVITY / terminal**2
 
     def oblique(self) -> Values:
-        return np.rad2deg(self.columns["rig.angle"])
+        return np.rad2deg(self["rig.angle"])
 
     def grazing_contact(self) -> Values:
         return self.answers.grazes
 
     def chatter(self) -> Values:
-        return self.values["retouches"]
+        return self["retouches"]
 
 
 def softest_partner(scene: Scene) -> ContactParameters:
@@ -470,10 +469,7 @@ def _check_ranges(measures: Measures, quantities: Collection[str]) -> list[Valid
         if entry.quantity is not None and name != "contact_pressure"
     }
     criteria |= measures.scene.demands
-    columns = {
-        name: column[measures.good]
-        for name, column in {**measures.columns, **measures.values}.items()
-    }
+    columns = {name: column[measures.good] for name, column in measures.items()}
     return [
         _check_range(name, *criteria[name], columns, measures.good)
         for name in dict.fromkeys(quantities)

@@ -19,12 +19,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, quiet
+from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
 from uqsphere.mechanics.roots import newton
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel; the
@@ -163,8 +162,7 @@ def first_loading(select: Formula, compiled: Formula = lambda function: function
 _FIRST_LOADING = first_loading(np.where)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Press:
+class Press(NamedTuple):
     """State of a contact at its largest approach, (n,) each in SI.
 
     depth: z = alpha/alpha_y (below 1: elastic).  approach, force, radius: at the largest approach.
@@ -183,7 +181,7 @@ class Press:
     plastic: Array
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Face:
     """Contact law of n rows: onset p_y, hardness H >= p_y [Pa], pile-up C (1 to 3), E*, r_eff [m].
 
