@@ -109,7 +109,7 @@ def offered_shares(
     sphere = _table(particle, "sphere")
     other = _table(partner, "plates", "bars")
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
-    tables: dict[str, Any] = {"title": "share of the energy", "seed": 1, "sphere": sphere}
+    tables: dict[str, Any] = {"sphere": sphere}
     if asked.contact_law is not None:
         tables["contact"] = {"law": asked.contact_law}
     rows = {"sphere.radius": 0.5 * diameter}
