@@ -23,7 +23,9 @@ WORDS = packaged("words.toml")
 
 
 class TomlTable(BaseModel):
-    """A table of an input file: no key beyond those declared."""
+    """A table of an input file: no key beyond those declared, whose meanings are the docstrings
+    below them.
+    """
 
     model_config = ConfigDict(
         extra="forbid",
@@ -32,7 +34,13 @@ class TomlTable(BaseModel):
         allow_inf_nan=False,
         defer_build=True,
         protected_namespaces=(),
+        use_attribute_docstrings=True,
     )
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        for key in cls.model_fields.values():
+            key.description = " ".join((key.description or "").split()) or None
 
 
 Kind = TypeVar("Kind", bound=TomlTable)

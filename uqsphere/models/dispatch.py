@@ -4,6 +4,7 @@ A call that fails is cut in two, so that one bad row does not take the others wi
 """
 
 import time
+from collections import deque
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import TYPE_CHECKING
 
@@ -51,8 +52,7 @@ def answer_rows(
         size = max(1, min(LARGEST_CALL, total // CALLS))
     if analysis.time_limit is not None:
         size = 1
-    due = (np.arange(start, min(start + size, total)) for start in range(0, total, size))
-    again = list[Places]()
+    due = deque(np.split(np.arange(total), range(size, total, size)))
     running = dict[Future[Timed], Places]()
     before = model.evaluations + model.reused
     heard = time.monotonic()
@@ -65,10 +65,8 @@ def answer_rows(
             most = 1
             if model.calls:
                 most = 2 * model.workers.count + 2
-            while len(running) < most:
-                places = again.pop() if again else next(due, None)
-                if places is None:
-                    break
+            while due and len(running) < most:
+                places = due.popleft()
                 if cache is not None:
                     kept, stored = cache.read(rows[places])
                     answers[places[stored]] = kept
@@ -98,11 +96,11 @@ def answer_rows(
                 except NoAnswer as failure:
                     row = places[0]
                     if len(places) > 1:
-                        again.extend(np.array_split(places, 2))
+                        due.extendleft(np.array_split(places, 2))
                         continue
                     if isinstance(failure, Died) and row not in died_once:
                         died_once.add(row)  # another row may have taken the memory
-                        again.append(places)
+                        due.appendleft(places)
                         continue
                     where = f"{failure} {where_of(model.inputs, rows[row])}"
                     if analysis.on_failure == "abort":

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from uqsphere.arrays import Array, Names, Places
+from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError, as_text, tell
 from uqsphere.models.black_box import BlackBox, identity_of, read_model
 from uqsphere.models.cache import Cache
@@ -121,11 +121,11 @@ class Model:
             self.workers.close()
 
     @property
-    def seconds_per_row(self) -> float | None:
-        """Mean seconds that a row took, without the first call where there are more; None before
-        the first.
+    def seconds_per_row(self) -> float:
+        """Mean seconds that a row took, without the first call where there are more; 0 before the
+        first.
         """
-        return self._seconds / self._rows if self._rows else None
+        return self._seconds / max(self._rows, 1)
 
     def check_names(self, names: Names, columns: Names) -> None:
         """Refuse inputs and outputs that are unknown or repeated. Raises UsageError."""
@@ -160,11 +160,11 @@ class Model:
         self.check_names(names, columns)
         if not self.study.black_box:
             return self._evaluate_scene(names, rows, columns)
-        answers, together = self._evaluate_box(names, rows, columns, self._cache)
+        answers = self._evaluate_box(names, rows, columns, self._cache)
         good = np.flatnonzero(answers.good)
         most = 1
-        if together.size:
-            good = np.intersect1d(together, good)
+        if self._together.size:
+            good = np.intersect1d(self._together, good)
             most = 2
         if most > self._compared:
             self._compared = most
@@ -188,7 +188,7 @@ class Model:
         """Whether a row (1, d) has another answer than (q,) when called by itself; a note says
         so.
         """
-        repeated, _ = self._evaluate_box(names, row, columns, None)
+        repeated = self._evaluate_box(names, row, columns, None)
         self.evaluations -= 1
         again = repeated.values[0]
         differs = ~np.isclose(answer, again, rtol=_HALF_OF_THE_DIGITS, atol=0.0)
@@ -229,14 +229,14 @@ class Model:
 
     def _evaluate_box(
         self, names: Names, rows: Array, columns: Names, cache: Cache | None
-    ) -> tuple[EvaluatedRows, Places]:
-        """Answers of the black box, and the rows of the first call that had several.
+    ) -> EvaluatedRows:
+        """Answers of the black box; a row fails where one is not finite, or too large.
 
-        A row fails where one of its answers is not finite, or too large.
+        `_together` is the rows of the first call that had several.
         """
         whole = np.tile(self.numbers, (len(rows), 1))
         whole[:, [self.inputs.index(name) for name in names]] = rows
-        answers, failures, together = answer_rows(self, whole, cache)
+        answers, failures, self._together = answer_rows(self, whole, cache)
         values = answers[:, [self.outputs.index(name) for name in columns]]
         usable = np.abs(values) <= LARGEST
         failed = ~usable.all(axis=1)
@@ -251,7 +251,7 @@ class Model:
             values[failed] = np.nan
         censored = np.zeros(values.shape, dtype=bool)
         status = np.where(failed, FAILED, 0)
-        return EvaluatedRows(values=values, censored=censored, status=status, note=note), together
+        return EvaluatedRows(values=values, censored=censored, status=status, note=note)
 
     def check_stop(self) -> None:
         """Raise Interrupted once `stop` is true."""
@@ -270,14 +270,14 @@ class Model:
     @property
     def is_slow(self) -> bool:
         """Whether a row takes so long that its answer is worth storing."""
-        return (self.seconds_per_row or 0.0) >= _QUICK
+        return self.seconds_per_row >= _QUICK
 
     def staff(self, rows: int) -> None:
         """Have as many processes as rows are worth: a function begins in this process, a file in
         one of its own. Nothing may be running."""
         limit = self.study.analysis.time_limit
         count = int(not callable(self.model))
-        if limit is not None or (self.seconds_per_row or 0.0) * rows >= _WORTH:
+        if limit is not None or self.seconds_per_row * rows >= _WORTH:
             count = self._processes
         if self.workers.count < count:
             try:

@@ -25,7 +25,7 @@ from uqsphere.study import Study
 from uqsphere.study.study import scene_with
 
 
-def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None) -> Scene:
+def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:
     """The scenes of a study with `values` (dotted path -> (n,), SI) in place, the rest at its mean.
 
     rows : n, where `values` does not tell.
@@ -35,18 +35,15 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     for name in values:
         if name not in INPUTS:
             raise UsageError(f"{name!r} is not an input of a scene (allowed: {', '.join(INPUTS)})")
-    n = rows
-    if n is None:
-        n = max(map(np.size, values.values()), default=1)
+    shape = np.broadcast_shapes((rows,), *map(np.shape, values.values()))
     numbers = {**study.at_means(), **values, **_library_onset(study)}
     columns = {
-        name: np.broadcast_to(np.asarray(number, dtype=float), (n,))
-        for name, number in numbers.items()
+        name: np.broadcast_to(np.asarray(number, float), shape) for name, number in numbers.items()
     }
     if study.record is not None:
         # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of
         # each row
-        gain = columns.get("pulse.gain", np.ones(n))
+        gain = columns.get("pulse.gain", 1.0)
         columns["striker.speed"] = (
             2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
         )
@@ -55,7 +52,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int | None = None)
     )
 
 
-def paper_lines(study: Study) -> tuple[PaperLine, ...]:
+def paper_lines(study: Study) -> "tuple[PaperLine, ...]":
     """The paper's printed values beside the corrected ones, every number at its mean; none for a
     study without `compare_with_paper`.
     """
@@ -172,7 +169,6 @@ def check_scene(study: Study) -> None:
     """Refuse a quantity that the rig of a study does not have, and a range of the free number at
     whose ends the scene at its means has no answer. Raises UsageError with the place in the study
     and the reason."""
-
     margins = study.margins
     if margins is not None and margins.solve in INPUTS:
         for value in margins.between:
@@ -232,7 +228,7 @@ def later_loading(study: Study, names: Names, rows: Array) -> Array:
 
 def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
-) -> Fractures:
+) -> "Fractures":
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
     paths = [path_of(name, study.demands) for name in quantities]
     return first_fractures(

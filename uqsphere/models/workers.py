@@ -12,7 +12,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 from weakref import WeakSet
 
 from threadpoolctl import threadpool_limits
@@ -307,20 +307,21 @@ class Workers:
 
         Raises ExecutorLost where the executor takes no calls.
         """
+        future = Future[Timed]()
         if self._executor is not None:
             try:
-                return cast(Future[Timed], self._executor.submit(self._answer, self._packed, rows))
+                future = self._executor.submit(self._answer, self._packed, rows)
             except Exception as error:
                 raise _lost(error) from error
-        if self.count:
+        elif self.count:
             if self._threads is None:
                 self._threads = ThreadPoolExecutor(self.count)
-            return self._threads.submit(self._call, rows)
-        future = Future[Timed]()
-        try:
-            future.set_result(answer(self._task, rows))
-        except ModelError as error:
-            future.set_exception(error)
+            future = self._threads.submit(self._call, rows)
+        else:
+            try:
+                future.set_result(answer(self._task, rows))
+            except ModelError as error:
+                future.set_exception(error)
         return future
 
     def _call(self, rows: Array) -> Timed:

@@ -28,12 +28,11 @@ def shipped_studies() -> dict[str, Path]:
     in the repository.
     """
     package = Path(__file__).parent.parent
-    for folder in (package / "templates", package.parent / "studies"):
-        studies = {
-            path.stem: path
-            for path in sorted(folder.glob("*.toml"))
-            if not path.stem.startswith("lab_")
-        }
-        if studies:
-            return studies
-    return {}
+    folder = package / "templates"
+    if not folder.is_dir():
+        folder = package.parent / "studies"
+    return {
+        path.stem: path
+        for path in sorted(folder.glob("*.toml"))
+        if not path.stem.startswith("lab_")
+    }

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -23,12 +24,11 @@ from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW, RIGS
-from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import format_value, lookup, plain_quantity
-from uqsphere.study.document import RIG_TABLES, SCENE, Document, Draft
+from uqsphere.study.document import RIG_TABLES, SCENE, Document
 from uqsphere.study.limits import compare_sizes, parameters_of, read_limit
 from uqsphere.study.plausibility import warn_of_slips
-from uqsphere.study.study import Study, default_target, scene_with, strength_name
+from uqsphere.study.study import Draft, Study, default_target, scene_with, strength_name
 from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.units import shown
 from uqsphere.uq import Dependence, Law, LawError, make_joint
@@ -61,24 +61,27 @@ FORMS = {
 }
 
 
-def resolve(draft: Draft, path: Path, text: str) -> Study:
-    """The study of a draft that every stage has found in order."""
+def resolve(draft: Draft, path: Path, **read: Any) -> Study:
+    """The study of a draft that every stage has found in order.
+
+    read : text, overrides and warnings, as `Study` has them.
+    """
     document = draft.document
     limits = draft.limits.values()
     analysis = document.analysis
     if not analysis.quantities:
-        usual = ["p_max", "contact_duration"]
+        usual: tuple[str, ...] = ("p_max", "contact_duration")
         if draft.box:
-            usual = [*draft.quantities]
+            usual = draft.quantities
         elif draft.rig.by_press:
-            usual = ["p_max"]
-        analysis = analysis.model_copy(update={"quantities": tuple(usual)})
+            usual = ("p_max",)
+        analysis = analysis.model_copy(update={"quantities": usual})
     numbers = {k: n.value for k, n in draft.numbers.items() if not k.startswith("limits.")}
     return Study(
         title=as_text(document.title) or path.stem,
         seed=document.seed,
         path=path,
-        text=text,
+        **read,
         black_box=draft.box,
         fixed={name: value for name, value in numbers.items() if not isinstance(value, Law)},
         random={name: value for name, value in numbers.items() if isinstance(value, Law)},
@@ -111,22 +114,25 @@ def resolve(draft: Draft, path: Path, text: str) -> Study:
 
 def tables(draft: Draft) -> Faults:
     """Words of every table, and numbers in the order of the file."""
-    inputs = draft.data.get("inputs")
-    for name, raw in inputs.items() if isinstance(inputs, Mapping) else ():
-        try:
-            draft.numbers[name] = number_of(raw, plain_quantity(name), draft, f"inputs.{name}")
-        except Fault as fault:
-            yield Fault(str(fault), f"inputs.{name}", fault.at)
+    for table, numbers in draft.data.items():
+        if table not in ("inputs", *SCENE) or not isinstance(numbers, Mapping):
+            continue
+        for key, raw in numbers.items():
+            quantity = numbers_of(table).get(key)
+            if table == "inputs":
+                quantity = plain_quantity(key)
+            # a flat face has no radius
+            if quantity is None or (key == "face_radius" and raw == "flat"):
+                continue
+            try:
+                with draft.within(table, key):
+                    draft.numbers[quantity.name] = number_of(raw, quantity, draft)
+            except Fault as fault:
+                yield fault
     try:
-        draft.document = Document.model_validate(draft.data, context=draft)
+        draft.document = Document.model_validate(draft.data)
     except ValidationError as error:
         yield from faults_of(Document, error)
-        return
-    for table in [name for name in draft.data if name in SCENE]:
-        for key in draft.data[table]:
-            number = getattr(getattr(draft.document, table), key)
-            if isinstance(number, Number):
-                draft.numbers[numbers_of(table)[key].name] = number
 
 
 # --- 2: which tables and numbers there are --------------------------------------------------------
@@ -135,7 +141,7 @@ def tables(draft: Draft) -> Faults:
 def _rig(draft: Draft) -> Faults:
     """The tables of the rig."""
     data = draft.data
-    rig = draft.rig.name
+    rig = shown(draft.rig.name)
     if data.keys().isdisjoint(SCENE):
         raise Fault(
             "the study has neither a scene ([sphere], [bars], [striker]) nor a black box "
@@ -143,17 +149,17 @@ def _rig(draft: Draft) -> Faults:
         )
     for table in data:
         homes = [shown(name) for name, its_tables in RIG_TABLES.items() if table in its_tables]
-        if homes and shown(rig) not in homes:
+        if homes and rig not in homes:
             yield Fault(
                 f"table [{table}] is used only with rig.kind = {one_of(homes)}; this study has "
-                f"{shown(rig)}. Remove it",
+                f"{rig}. Remove it",
                 table,
             )
-    needed = {"sphere", *RIG_TABLES[rig]} - {"pulse", "insert", *data}
+    needed = {"sphere", *RIG_TABLES[draft.rig.name]} - {"pulse", "insert", *data}
     if draft.document.pulse.shape == "measured":
         needed.discard("striker")
     for table in needed:
-        yield Fault(f"the rig {shown(rig)} requires a table [{table}]. Add it", table)
+        yield Fault(f"the rig {rig} requires a table [{table}]. Add it", table)
 
 
 def _box(draft: Draft) -> Faults:
@@ -203,7 +209,7 @@ def _library(draft: Draft) -> Faults:
         materials = dict(chain(*(library()[kind].items() for kind in kinds)))
         if name not in materials:
             near = suggestion(name, materials)
-            for kind in MATERIAL_KINDS[::-1]:
+            for kind in MATERIAL_KINDS:
                 if name in library()[kind]:
                     near = f"; {shown(name)} is a material for {kind}"
             yield Fault(
@@ -221,7 +227,7 @@ def _library(draft: Draft) -> Faults:
                 numbers[path], sources[path] = Number(value=entry.value), entry
         E = properties.get("E")
         if E is not None and E.value < 1e8:
-            draft.warn(f"{table}.material", f"{name} is not an elastic solid: {E.note}")
+            draft.warn(f"{name} is not an elastic solid: {E.note}", table, "material")
     law = document.contact.law
     model = document.model
     follows = model.fidelity == "full" and not model.compare_with_paper
@@ -240,7 +246,7 @@ def _words(draft: Draft) -> Faults:
     numbers = draft.numbers
     options = draft.options
     pulse = document.pulse
-    shape = str(pulse.shape)
+    shape = pulse.shape
     for table in {"target", "anvil"} & draft.data.keys():
         options[f"{table}.kind"] = getattr(document, table).kind
     if document.hammer.shape is not None:
@@ -342,7 +348,7 @@ def _model(draft: Draft) -> Faults:
             "model.fidelity",
         )
     if rig.by_impact:
-        draft.warn("", _NO_SPHERE)
+        draft.warn(_NO_SPHERE)
     radius = draft.mean("sphere.radius")
     if draft.mean("platens.displacement") >= radius:
         yield Fault(
@@ -375,7 +381,7 @@ def _scene(draft: Draft) -> Faults:
         options["contact.hardness"] = "onset"
     columns = {name: np.array([number.mean]) for name, number in numbers.items()}
     if shape == "measured":
-        with within("pulse"):
+        with draft.within("pulse"):
             draft.record = pulse_of(draft.document.pulse, draft)
         columns["striker.speed"] = np.ones(1)
 
@@ -386,7 +392,7 @@ def _scene(draft: Draft) -> Faults:
             faces = {
                 "sphere" if partner.takes[0] else partner.table: partner.face
                 for partner in scene.there
-                if isinstance(partner.face, Face)
+                if partner.face is not None
             }
             valid = faces and all(face.valid[0] for face in faces.values())
             if draft.plastic and draft.document.contact.law is None and not valid:
@@ -500,9 +506,10 @@ def _gauges(draft: Draft) -> Faults:
 def _limits(draft: Draft) -> Faults:
     for name, table in draft.document.limits.items():
         try:
-            read_limit(draft, name, table)
+            with draft.within("limits", name):
+                read_limit(draft, name, table)
         except Fault as fault:
-            yield Fault(str(fault), f"limits.{name}", fault.at)
+            yield fault
 
 
 def _analysis(draft: Draft) -> Faults:
@@ -566,10 +573,10 @@ def _margins(draft: Draft) -> Faults:
             "margins.between",
         )
     for limit in draft.limits.values():
-        if solve == "sphere.radius" and limit.tested is not None:
-            with within("margins"):
-                radii = (0.5 * limit.tested.diameter, *ends)
-                compare_sizes(limit, radii, draft, "margins.between")
+        tested = limit.tested
+        if solve == "sphere.radius" and tested is not None:
+            with draft.within("margins"):
+                compare_sizes(limit, tested, (0.5 * tested.diameter, *ends), draft, "between")
     draft.margins = table.model_copy(
         update={
             "solve": solve,

@@ -6,48 +6,30 @@ other is checked in `uqsphere.study.check`.  The JSON schema and docs/study-file
 three.
 """
 
-import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    ValidationInfo,
+    SkipValidation,
     WithJsonSchema,
     create_model,
 )
 from pydantic import model_validator as checked
 
-from uqsphere.documents import Fault, TomlTable, table_in
-from uqsphere.files import Json
-from uqsphere.materials import Property
+from uqsphere.documents import Fault, TomlTable
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
-from uqsphere.mechanics.outputs import OUTPUTS
-from uqsphere.mechanics.pulses import PRESETS, SHAPES, MeasuredPulse
-from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS, Rig
-from uqsphere.mechanics.scene import Scene
-from uqsphere.study.values import (
-    Number,
-    Observations,
-    Positive,
-    fraction,
-    keyed,
-    number_of,
-    numbers_of,
-    value_of,
-)
+from uqsphere.mechanics.pulses import PRESETS, SHAPES
+from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS
+from uqsphere.study.values import Observations, Positive, fraction, numbers_of, value_of
 from uqsphere.units import UNITS, Quantity, shown
 from uqsphere.uq.families import FAMILIES
-
-if TYPE_CHECKING:
-    from uqsphere.study.study import Limit
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES = {
@@ -102,9 +84,6 @@ def _policy(raw: Any) -> Any:
     return fraction(raw)
 
 
-Preset = Literal[*PRESETS]  # type: ignore[valid-type]
-Shape = Literal[*SHAPES, "measured"]  # type: ignore[valid-type]
-Criterion = Literal[*CRITERIA]  # type: ignore[valid-type]
 Aim = Literal["survive", "break"]
 Policy = Literal["abort", "bound", "drop"]
 #: a value, with its unit where it has one, or a distribution
@@ -112,9 +91,6 @@ Num = Annotated[Any, WithJsonSchema({"type": ["number", "string", "object"]})]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 _Part = Annotated[float, Field(gt=0.0, lt=1.0)]
 Share = Annotated[float, BeforeValidator(fraction, json_schema_input_type=_Part | str)]
-PolicyOrShare = Annotated[
-    Policy | _Part, BeforeValidator(_policy, json_schema_input_type=Policy | _Part | str)
-]
 Shares = Annotated[tuple[Share, ...], *_several()]
 Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
@@ -129,103 +105,98 @@ Measures = Annotated[tuple[Literal["morris", "delta", "pawn", "hdmr"], ...], *_s
 class Body(TomlTable):
     """What touches the sphere, or the sphere itself."""
 
-    material: str | None = keyed(
-        "name of `uqsphere list materials`, for the numbers that are omitted"
-    )
+    material: str | None = None
+    """name of `uqsphere list materials`, for the numbers that are omitted"""
 
 
 class Bars(Body):
     """Both bars, alike in material and diameter."""
 
-    infinite: bool = keyed("infinitely long bars: no reflected waves", False)
-    rigid_contact: bool = keyed("rigid bars in the contact stiffness, `1/E* = (1 - nu²)/E`", False)
+    infinite: bool = False
+    """infinitely long bars: no reflected waves"""
+    rigid_contact: bool = False
+    """rigid bars in the contact stiffness, `1/E* = (1 - nu²)/E`"""
 
 
 class PulseTable(TomlTable):
     """The incident pulse; each shape has keys of its own."""
 
-    preset: Preset | None = keyed("a pulse of the paper's Fig. 2, in place of `shape`")
-    shape: Shape = keyed("shape of the pulse", "rectangular")
-    file: str | None = keyed(
-        "`measured`: file beside the study with columns of time and strain (compression positive)"
-    )
-    sheet: str | None = keyed("`measured`: sheet of a workbook (default: the first with data)")
-    columns: Pair | None = keyed(
-        "`measured`: column names of time and signal (default: the first two)"
-    )
-    units: Pair | None = keyed(
-        "`measured`: units of time, and of strain or volts (default: those of the headings)"
-    )
-    factor: Positive | None = keyed("`measured`: strain of one volt")
+    preset: Literal[*PRESETS] | None = None  # type: ignore[valid-type]
+    """a pulse of the paper's Fig. 2, in place of `shape`"""
+    shape: Literal[*SHAPES, "measured"] = "rectangular"  # type: ignore[valid-type]
+    """shape of the pulse"""
+    file: str | None = None
+    """`measured`: file beside the study with columns of time and strain (compression positive)"""
+    sheet: str | None = None
+    """`measured`: sheet of a workbook (default: the first with data)"""
+    columns: Pair | None = None
+    """`measured`: column names of time and signal (default: the first two)"""
+    units: Pair | None = None
+    """`measured`: units of time, and of strain or volts (default: those of the headings)"""
+    factor: Positive | None = None
+    """`measured`: strain of one volt"""
 
 
 class ContactTable(TomlTable):
     """The law of the contacts."""
 
-    law: Literal["hertz", "plastic"] | None = keyed(
-        '`"hertz"`, or `"plastic"`: the softer body yields or crushes (default: `"plastic"` if the '
-        "study or the library has an onset of yield)"
-    )
+    law: Literal["hertz", "plastic"] | None = None
+    """`"hertz"`, or `"plastic"`: the softer body yields or crushes (default: `"plastic"` if the
+    study or the library has an onset of yield)"""
 
 
 class RigTable(TomlTable):
     """What loads the sphere; `speed` or `drop_height` where the sphere itself moves."""
 
-    kind: Literal[*RIGS] = keyed("what loads the sphere", DEFAULT_RIG)  # type: ignore[valid-type]
+    kind: Literal[*RIGS] = DEFAULT_RIG  # type: ignore[valid-type]
+    """what loads the sphere"""
 
 
 class Struck(Body):
     """A target or an anvil."""
 
-    kind: Literal["thick", "plate", "bar", "mass"] = keyed(
-        "a plate bends; a bar is struck at its end", "thick"
-    )
+    kind: Literal["thick", "plate", "bar", "mass"] = "thick"
+    """a plate bends; a bar is struck at its end"""
 
 
 class Hammer(Body):
     """A weight that falls."""
 
-    shape: Literal["ball"] | None = keyed(
-        'hammer: for a `"ball"`, mass and `face_radius` follow from the `diameter`'
-    )
+    shape: Literal["ball"] | None = None
+    """hammer: for a `"ball"`, mass and `face_radius` follow from the `diameter`"""
 
 
 class Rod(Body):
     """A long rod that a sphere rests on."""
 
-    gauge: Length | None = keyed("rod: distance of the gauge from the sphere, for `history`")
+    gauge: Length | None = None
+    """rod: distance of the gauge from the sphere, for `history`"""
 
 
 class Gauge(TomlTable):
     """A strain gauge: its bar, and its distance from the sphere [m]."""
 
-    bar: Literal["incident", "receiving", "rod"] = keyed(
-        '`"incident"`, `"receiving"`, or `"rod"` of a load cell', ...
-    )
-    position: Length = keyed("distance from the sphere", ...)
+    bar: Literal["incident", "receiving", "rod"]
+    """`"incident"`, `"receiving"`, or `"rod"` of a load cell"""
+    position: Length
+    """distance from the sphere"""
 
 
 class ModelChoice(TomlTable):
     """Which mechanics, and how precisely; `horizon` [s]."""
 
-    fidelity: Literal["full", "massless", "linear"] = keyed(
-        '`"full"`; of the paper: `"massless"`, `"linear"`', "full"
-    )
-    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = keyed(
-        "relative error of the integration", 1e-6
-    )
-    first_loading_only: bool = keyed(
-        "end the evaluation window when the first reflected wave returns to the sphere", False
-    )
-    whole_record: bool = keyed(
-        "evaluate up to the horizon, including later impacts of the loose sphere (bars)", False
-    )
-    horizon: Seconds | None = keyed(
-        "latest end of the evaluation window (default: eight round trips of the longer bar)"
-    )
-    compare_with_paper: bool = keyed(
-        "print the paper's formulas as printed beside the corrected ones", False
-    )
+    fidelity: Literal["full", "massless", "linear"] = "full"
+    """`"full"`; of the paper: `"massless"`, `"linear"`"""
+    tolerance: Annotated[float, Field(ge=1e-12, le=1e-2)] = 1e-6
+    """relative error of the integration"""
+    first_loading_only: bool = False
+    """end the evaluation window when the first reflected wave returns to the sphere"""
+    whole_record: bool = False
+    """evaluate up to the horizon, including later impacts of the loose sphere (bars)"""
+    horizon: Seconds | None = None
+    """latest end of the evaluation window (default: eight round trips of the longer bar)"""
+    compare_with_paper: bool = False
+    """print the paper's formulas as printed beside the corrected ones"""
 
 
 # --- limits and what is asked ---------------------------------------------------------------------
@@ -234,44 +205,36 @@ class ModelChoice(TomlTable):
 class LimitTable(TomlTable):
     """A limit state: a demand (quantity or criterion) and its strength."""
 
-    quantity: str | None = keyed("a quantity of `uqsphere list quantities`")
-    criterion: Criterion | None = keyed("alternative: one of `uqsphere list criteria`")
-    strength: Num = keyed("value, distribution, or a file with tests or draws", ...)
-    strength_is: Literal["hertz", "pressure"] | None = keyed(
-        'required if `plastic`: `"hertz"`, computed from a force by Hertz, or `"pressure"`, a true '
-        "pressure"
-    )
-    aim: Aim = keyed(
-        '`"survive"`: the demand must stay below the strength; `"break"`: it must exceed it',
-        "survive",
-    )
-    target: Share | None = keyed('largest accepted failure probability, `0.01` or `"1 %"`')
-    model_factor: Num = keyed(
-        "multiplies the demand; above 1, the particle breaks earlier; may be random",
-        1.0,
-    )
-    fracture: bool | None = keyed(
-        "whether exceedance breaks the sphere (default: that of the quantity)"
-    )
-    energy_is: Literal["contact", "sphere", "input"] | None = keyed(
-        "energy of `specific_energy` (required except for bars): stored in both contacts, in the "
-        "sphere, or the impact energy"
-    )
-    modulus: Annotated[float, *_fixed("modulus")] | None = keyed(
-        "Weibull modulus of a weakest link, unless the strength has it"
-    )
-    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = keyed(
-        "volume under tension that a volume strength refers to"
-    )
-    reference_area: Annotated[float, *_fixed("reference_area")] | None = keyed(
-        "surface area that a surface strength refers to"
-    )
-    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = keyed(
-        "upper bound of the fracture energy"
-    )
-    rate_0: Annotated[float, *_fixed("rate_0")] | None = keyed(
-        "strain rate at which the quasi-static strength doubles"
-    )
+    quantity: str | None = None
+    """a quantity of `uqsphere list quantities`"""
+    criterion: Literal[*CRITERIA] | None = None  # type: ignore[valid-type]
+    """alternative: one of `uqsphere list criteria`"""
+    strength: Num
+    """value, distribution, or a file with tests or draws"""
+    strength_is: Literal["hertz", "pressure"] | None = None
+    """required if `plastic`: `"hertz"`, computed from a force by Hertz, or `"pressure"`, a true
+    pressure"""
+    aim: Aim = "survive"
+    """`"survive"`: the demand must stay below the strength; `"break"`: it must exceed it"""
+    target: Share | None = None
+    """largest accepted failure probability, `0.01` or `"1 %"`"""
+    model_factor: Num = 1.0
+    """multiplies the demand; above 1, the particle breaks earlier; may be random"""
+    fracture: bool | None = None
+    """whether exceedance breaks the sphere (default: that of the quantity)"""
+    energy_is: Literal["contact", "sphere", "input"] | None = None
+    """energy of `specific_energy` (required except for bars): stored in both contacts, in the
+    sphere, or the impact energy"""
+    modulus: Annotated[float, *_fixed("modulus")] | None = None
+    """Weibull modulus of a weakest link, unless the strength has it"""
+    reference_volume: Annotated[float, *_fixed("reference_volume")] | None = None
+    """volume under tension that a volume strength refers to"""
+    reference_area: Annotated[float, *_fixed("reference_area")] | None = None
+    """surface area that a surface strength refers to"""
+    largest_energy: Annotated[float, *_fixed("largest_energy")] | None = None
+    """upper bound of the fracture energy"""
+    rate_0: Annotated[float, *_fixed("rate_0")] | None = None
+    """strain rate at which the quasi-static strength doubles"""
 
     @checked(mode="after")
     def _one_demand(self) -> Self:
@@ -299,18 +262,11 @@ Distribution: Any = create_model(
 )
 
 
-def _read(raw: Any, info: ValidationInfo, *, quantity: Quantity, place: str) -> Number | None:
-    """A number of the scene; a flat face has no radius."""
-    if place.endswith(".face_radius") and raw == "flat":
-        return None
-    return number_of(raw, quantity, info.context, place)  # type: ignore[arg-type]
-
-
-def _with_numbers(table: str) -> tuple[type[TomlTable], TomlTable]:
-    """A table with the numbers of the scene that it can have: a word where one stands for it,
-    fixed, or a law; and the table without any.
+def _with_numbers(table: str) -> tuple[Any, TomlTable]:
+    """A table with the numbers of the scene that it can have, which `check.tables` reads: a word
+    where one stands for it, fixed, or a law; and what it is by default.
     """
-    words = table_in(Words.model_fields[table].annotation)
+    words: Any = Words.model_fields[table].annotation
     numbers = dict[str, Any]()
     for name, quantity in numbers_of(table).items():
         fixed = Annotated[Any, WithJsonSchema(_fixed_schema(quantity.dimension))]
@@ -319,10 +275,10 @@ def _with_numbers(table: str) -> tuple[type[TomlTable], TomlTable]:
             kinds |= Literal[*END_COEFFICIENTS]
         elif name.endswith("face_radius"):
             kinds |= Literal["flat"]
-        mark = BeforeValidator(
-            partial(_read, quantity=quantity, place=f"{table}.{name}"), json_schema_input_type=kinds
+        numbers[name] = (
+            SkipValidation[kinds],  # type: ignore[misc, valid-type]
+            Field(default=None, description=quantity.meaning),
         )
-        numbers[name] = Annotated[Any, mark], keyed(quantity.meaning)
     kind = create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
     return kind, kind.model_construct()
 
@@ -332,17 +288,16 @@ class DependenceTable(TomlTable):
     Student t copula.
     """
 
-    of: Annotated[tuple[str, ...], *_several(2, 1_000)] = keyed("two or more random numbers", ...)
-    spearman: Correlation | None = keyed(
-        "Spearman's rank correlation (this or `kendall` is required)"
-    )
-    kendall: Correlation | None = keyed("Kendall's rank correlation")
-    copula: Literal["gaussian", "student_t"] = keyed(
-        '`"gaussian"`, or `"student_t"` with `dof`', "gaussian"
-    )
-    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = keyed(
-        "degrees of freedom of `student_t`"
-    )
+    of: Annotated[tuple[str, ...], *_several(2, 1_000)]
+    """two or more random numbers"""
+    spearman: Correlation | None = None
+    """Spearman's rank correlation (this or `kendall` is required)"""
+    kendall: Correlation | None = None
+    """Kendall's rank correlation"""
+    copula: Literal["gaussian", "student_t"] = "gaussian"
+    """`"gaussian"`, or `"student_t"` with `dof`"""
+    dof: Annotated[float, Field(ge=1.0, le=1000.0)] | None = None
+    """degrees of freedom of `student_t`"""
 
 
 class AccuracyTable(TomlTable):
@@ -368,40 +323,34 @@ class Analysis(TomlTable):
     black-box model run.
     """
 
-    quantities: Annotated[tuple[str, ...], *_several()] = keyed(
-        "computed to this accuracy (default: `p_max` and `contact_duration`, or all outputs of a "
-        "black box)",
-        (),
-    )
-    accuracy: AccuracyTable = keyed(
-        "half-widths of 95 % intervals; mean and quantile divided by the standard deviation, "
-        "probability relative: `{ mean = 0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 "
-        "}`",
-        AccuracyTable.model_construct(),
-    )
-    budget: Budget = keyed(
-        'upper limits: `{ evaluations = 2_000_000, time = "10 min" }`', Budget.model_construct()
-    )
-    quantiles: Shares = keyed("probabilities of the quantiles", (0.01, 0.05, 0.5, 0.95, 0.99))
-    measures: Measures = keyed(
-        "sensitivity measures of SALib in addition to Sobol' indices: `morris`, `delta`, `pawn`, "
-        "`hdmr`",
-        (),
-    )
-    second_order: bool = keyed("also Sobol' indices of all pairs of inputs", False)
-    failure_modes: Literal["all", "given"] = keyed(
-        "`all`: also modes without a limit, with library strengths", "all"
-    )
-    damage_counts: bool = keyed(
-        "a ring crack, which damages the surface, counts as fracture (glass, catalysts)", False
-    )
-    on_failure: PolicyOrShare = keyed(
-        'failed model runs: `"bound"`, the interval covers both outcomes; `"drop"`, up to 1 % are '
-        'dropped, or up to a percentage such as `"5 %"`',
-        "abort",
-    )
-    cost: Seconds | None = keyed("run time of one black-box model run (default: measured)")
-    time_limit: Seconds | None = keyed("time limit of one black-box model run")
+    quantities: Annotated[tuple[str, ...], *_several()] = ()
+    """computed to this accuracy (default: `p_max` and `contact_duration`, or all outputs of a black
+    box)"""
+    accuracy: AccuracyTable = AccuracyTable.model_construct()
+    """half-widths of 95 % intervals; mean and quantile divided by the standard deviation,
+    probability relative: `{ mean = 0.005, quantile = 0.02, sobol = 0.02, probability = 0.05 }`"""
+    budget: Budget = Budget.model_construct()
+    """upper limits: `{ evaluations = 2_000_000, time = "10 min" }`"""
+    quantiles: Shares = (0.01, 0.05, 0.5, 0.95, 0.99)
+    """probabilities of the quantiles"""
+    measures: Measures = ()
+    """sensitivity measures of SALib in addition to Sobol' indices: `morris`, `delta`, `pawn`,
+    `hdmr`"""
+    second_order: bool = False
+    """also Sobol' indices of all pairs of inputs"""
+    failure_modes: Literal["all", "given"] = "all"
+    """`all`: also modes without a limit, with library strengths"""
+    damage_counts: bool = False
+    """a ring crack, which damages the surface, counts as fracture (glass, catalysts)"""
+    on_failure: Annotated[
+        Policy | _Part, BeforeValidator(_policy, json_schema_input_type=Policy | _Part | str)
+    ] = "abort"
+    """failed model runs: `"bound"`, the interval covers both outcomes; `"drop"`, up to 1 % are
+    dropped, or up to a percentage such as `"5 %"`"""
+    cost: Seconds | None = None
+    """run time of one black-box model run (default: measured)"""
+    time_limit: Seconds | None = None
+    """time limit of one black-box model run"""
 
     @property
     def policy(self) -> str:
@@ -429,11 +378,12 @@ class Margins(TomlTable):
     in SI.
     """
 
-    solve: str = keyed('the free number: `"striker.speed"`, `"limits.NAME.strength"`', ...)
-    between: Annotated[tuple[Any, ...], *_several(2, 2)] = keyed("lowest and highest value", ...)
-    for_probability: Shares = keyed(
-        "probabilities that the quantity exceeds the strength", (0.01, 0.1, 0.5, 0.9, 0.99)
-    )
+    solve: str
+    """the free number: `"striker.speed"`, `"limits.NAME.strength"`"""
+    between: Annotated[tuple[Any, ...], *_several(2, 2)]
+    """lowest and highest value"""
+    for_probability: Shares = (0.01, 0.1, 0.5, 0.9, 0.99)
+    """probabilities that the quantity exceeds the strength"""
 
     @property
     def limit(self) -> str | None:
@@ -444,18 +394,17 @@ class Margins(TomlTable):
 class Outputs(TomlTable):
     """The outputs of a black box."""
 
-    names: Annotated[tuple[Name, ...], *_several()] = keyed(
-        'names of the outputs, `["y"]`; required', ()
-    )
+    names: Annotated[tuple[Name, ...], *_several()] = ()
+    """names of the outputs, `["y"]`; required"""
 
 
 class Words(TomlTable):
     """A study file, without the numbers of the scene, whose tables `Document` completes."""
 
-    title: str = keyed(
-        "heading of the report (default: the file's name); not part of the study's hash", ""
-    )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = keyed("the same seed gives the same answers", 0)
+    title: str = ""
+    """heading of the report (default: the file's name); not part of the study's hash"""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """the same seed gives the same answers"""
     sphere: Body
     bars: Bars
     striker: Body
@@ -482,71 +431,6 @@ class Words(TomlTable):
 #: the tables of the scene: their words stand above, their numbers are those of `INPUTS`
 _scene: dict[str, Any] = {name: _with_numbers(name) for name in SCENE}
 Document = create_model("Document", __base__=Words, __doc__="A study file.", **_scene)
-
-
-# --- a study while it is read ---------------------------------------------------------------------
-
-
-@dataclass(kw_only=True)
-class Draft:
-    """What is understood of a study.
-
-    folder : that of the study, outside of which no file is read; files: those it has read, by the
-        names it gives them.
-    data : the tables as the file has them; document: the same, validated.
-    box, plastic : whether it is a black box, whether contacts can yield.
-    numbers : by dotted path (black box: bare name) in the order of the file, strengths and model
-        factors last.
-    scene : the one row at its means.
-    """
-
-    folder: Path
-    data: dict[str, Any]
-    document: Words = field(default_factory=Document.model_construct)
-    box: bool
-    plastic: bool = False
-    numbers: dict[str, Number] = field(default_factory=dict)
-    options: dict[str, Json] = field(default_factory=dict)
-    materials: dict[str, str] = field(default_factory=dict)
-    sources: dict[str, Property] = field(default_factory=dict)
-    record: MeasuredPulse | None = None
-    scene: Scene | None = None
-    limits: dict[str, "Limit"] = field(default_factory=dict)
-    margins: Margins | None = None
-    warnings: dict[tuple[str, str], str] = field(default_factory=dict)
-    files: dict[str, Path] = field(default_factory=dict)
-
-    @property
-    def rig(self) -> Rig:
-        """What loads the sphere."""
-        return RIGS[self.document.rig.kind]
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Names that can be requested."""
-        return self.document.outputs.names if self.box else tuple(OUTPUTS)
-
-    def gauges(self) -> dict[str, Gauge]:
-        """The gauges by their places in the study, that of a rod first."""
-        gauges = {f"gauges[{k}]": gauge for k, gauge in enumerate(self.document.gauges)}
-        rod = self.document.rod.gauge
-        if rod is None:
-            return gauges
-        return {"rod.gauge": Gauge.model_construct(bar="rod", position=rod), **gauges}
-
-    def warn(self, place: str, message: str, holds: str = "") -> None:
-        """Note what a user should know and what does not stop the study, once.
-
-        holds : code of the caveat by which no verdict is established, `unit`, `plausibility` or
-            `rate`
-        """
-        self.warnings.setdefault((place, message), holds)
-
-    def mean(self, path: str, absent: float = math.nan) -> float:
-        """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""
-        if path in self.numbers:
-            return self.numbers[path].mean
-        return absent
 
 
 # --- the schema -----------------------------------------------------------------------------------

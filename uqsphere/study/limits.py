@@ -16,8 +16,9 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, OUTPUTS, lookup, plain_quantity
-from uqsphere.study.document import Draft, LimitTable
-from uqsphere.study.study import DEFAULT_TARGET, Limit
+from uqsphere.study.document import LimitTable
+from uqsphere.study.plausibility import like_material
+from uqsphere.study.study import DEFAULT_TARGET, Draft, Limit
 from uqsphere.study.values import (
     FARTHEST_SIZE,
     Number,
@@ -82,7 +83,6 @@ _FACTOR = Quantity(
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     """One limit: demand, strength and model factor; raises Fault."""
-    place = f"limits.{name}"
     limit = _demand(draft, name, table)
     of_fracture = sorted(key for key, entry in OUTPUTS.items() if entry.fracture)
     if table.fracture and table.criterion is None and limit.quantity not in of_fracture:
@@ -91,10 +91,10 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
             f"one of {one_of(of_fracture)}",
             "fracture",
         )
-    with within("model_factor"):
-        factor = number_of(table.model_factor, _FACTOR, draft, f"{place}.model_factor")
-    with within("strength"):
-        strength = _strength(draft, table, limit, f"{place}.strength")
+    with draft.within("model_factor"):
+        factor = number_of(table.model_factor, _FACTOR, draft)
+    with draft.within("strength"):
+        strength = _strength(draft, table, limit)
     if limit.needs_modulus:
         fitted = modulus_of(strength.value)
         modulus = limit.parameters.get("modulus")
@@ -105,17 +105,17 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
                     "modulus",
                 )
             draft.warn(
-                place,
                 "a weakest-link strength has a Weibull distribution with the modulus of the "
-                "limit; with another distribution P_f does not follow from the flaws",
+                "limit; with another distribution P_f does not follow from the flaws"
             )
-        elif modulus is not None and abs(fitted - modulus) > 1e-9 * modulus:
-            raise Fault(
-                f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
-                "modulus",
-                "modulus",
-            )
-        limit = replace(limit, parameters={"modulus": fitted or modulus or 0.0, **limit.parameters})
+        else:
+            if modulus is not None and abs(fitted - modulus) > 1e-9 * modulus:
+                raise Fault(
+                    f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
+                    "modulus",
+                    "modulus",
+                )
+            limit = replace(limit, parameters={"modulus": fitted, **limit.parameters})
     draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
     draft.limits[name] = replace(
         limit, strength=strength.value, model_factor=factor.value, tested=strength.tested
@@ -215,12 +215,12 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
     return meant == "hertz"
 
 
-def _strength(draft: Draft, table: LimitTable, limit: Limit, place: str) -> Number:
+def _strength(draft: Draft, table: LimitTable, limit: Limit) -> Number:
     """A strength: a number or distribution in the unit of the demand, or one from tests; raises
     Fault.
     """
     if draft.box:
-        return number_of(table.strength, plain_quantity(limit.quantity), draft, place)
+        return number_of(table.strength, plain_quantity(limit.quantity), draft)
     entry = lookup(limit.quantity)
     usual = _USUAL.get(entry.dimension, (0.0, math.inf))
     if entry.place == "contact":
@@ -229,18 +229,18 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit, place: str) -> Numb
         entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
     )
     if is_tests(table.strength):
-        number = _tested(draft, declared(Observations, table.strength), limit, place)
-        warn_unusual(number.mean, entry, draft, place)
+        number = _tested(draft, declared(Observations, table.strength), limit)
+        warn_unusual(number.mean, entry, draft)
         return number
-    number = number_of(table.strength, entry, draft, place)
-    compare_sizes(replace(limit, tested=number.tested), _radii(draft), draft, f"{place}.draws")
+    number = number_of(table.strength, entry, draft)
+    compare_sizes(limit, number.tested, _radii(draft), draft, "draws")
     return number
 
 
 # --- strengths from crushing tests ----------------------------------------------------------------
 
 
-def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Number:
+def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     """The distribution of the strength from forces at failure, and the tests themselves; raises
     Fault.
     """
@@ -260,8 +260,8 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Numb
     force = columns["force"]
     diameter = columns["diameter"]
     rate = columns.get("rate")
-    tension = _warn_of_slips(table, cells, rows, columns, draft, place)
-    warn_of_rows(cells, rows, tension, stopped, draft, place)
+    tension = _warn_of_slips(table, cells, rows, columns, draft)
+    warn_of_rows(cells, rows, tension, stopped, draft)
 
     power = _POWERS.get(demand, 2.0)
     mean = float(diameter.mean())
@@ -282,14 +282,12 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Numb
         law=law,
         exponent=exponent,
     )
-    compare_sizes(replace(limit, tested=tested), _radii(draft), draft, f"{place}.diameter")
+    compare_sizes(limit, tested, _radii(draft), draft, "diameter")
     if not draft.rig.by_press and "rate_0" not in limit.parameters:
-        _warn_of_rate(draft, limit, place)
+        _warn_of_rate(draft, limit)
 
     def value(modulus: float, factor: float = 1.0) -> Array:
-        weakest = limit
-        if limit.needs_modulus:
-            weakest = replace(limit, parameters={"modulus": modulus, **limit.parameters})
+        weakest = replace(limit, parameters={"modulus": modulus, **limit.parameters})
         return value_at(factor * force, weakest.demand, sphere, 0.5 * diameter, platens, rate)
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
@@ -312,7 +310,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit, place: str) -> Numb
     return Number(value=law, synthetic=table.synthetic, tested=tested)
 
 
-def _warn_of_rate(draft: Draft, limit: Limit, place: str) -> None:
+def _warn_of_rate(draft: Draft, limit: Limit) -> None:
     """Warn of quasi-static tests in a rig that loads dynamically: where the sphere is to break, the
     strength that is left out is on the unsafe side.
     """
@@ -328,9 +326,9 @@ def _warn_of_rate(draft: Draft, limit: Limit, place: str) -> None:
     ):
         way = f"set limits.{limit.name}.rate_0 (110 to 760 1/s)"
     if limit.aim == "survive":
-        draft.warn(place, f"{text}. Ignoring this is conservative; to include it, {way}")
+        draft.warn(f"{text}. Ignoring this is conservative; to include it, {way}")
     else:
-        draft.warn(place, f"{text}, so fewer would break than computed: {way}", holds="rate")
+        draft.warn(f"{text}, so fewer would break than computed: {way}", holds="rate")
 
 
 def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> tuple[Law, float]:
@@ -352,13 +350,14 @@ def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> 
         ) from None
 
 
-def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: str) -> None:
-    """Warn of tests of another diameter than the sphere's, of its first radius [m].
+def compare_sizes(
+    limit: Limit, tested: Tested | None, radii: tuple[float, ...], draft: Draft, key: str
+) -> None:
+    """Warn of tests of a limit that have another diameter than the sphere, of its first radius [m].
 
     Raises Fault if no size law, of the tests or of the criterion itself, scales them to one of the
     radii.
     """
-    tested = limit.tested
     if tested is None:
         return
     linked = limit.needs_modulus or (modulus_of(tested.law) and tested.exponent)
@@ -379,7 +378,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: s
             way = "hold the tests against a pressure or tension: a force has no size law"
         raise Fault(
             f"{sizes}, and no size law covers more than 50 %. Test spheres of this size, or {way}",
-            place.rpartition(".")[2],
+            key,
         )
     if ratios[0] > _SIZES_TOLD:
         scaling = "not scaled"
@@ -387,7 +386,7 @@ def compare_sizes(limit: Limit, radii: tuple[float, ...], draft: Draft, place: s
             scaling = "scaled by the weakest link"
         elif tested.law is None and tested.exponent:
             scaling = "scaled by its size_exponent"
-        draft.warn(place, f"{sizes}: the strength is {scaling}")
+        draft.warn(f"{sizes}: the strength is {scaling}", key)
 
 
 def _warn_of_slips(
@@ -396,7 +395,6 @@ def _warn_of_slips(
     rows: Places,
     columns: Mapping[str, Array],
     draft: Draft,
-    place: str,
 ) -> Array:
     """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
 
@@ -411,21 +409,20 @@ def _warn_of_slips(
         typical = np.median(0.9 * force / np.square(diameter))
         return bool(low <= typical <= high and 1 / 3 <= np.median(diameter) / across <= 3.0)
 
-    def unit_of(key: str, dimension: str) -> float:
+    def as_written(key: str, dimension: str) -> Array:
         column = getattr(table, key)
         unit = getattr(table, f"{key}_unit")
         if unit is None and not column[:1].isdigit():
             unit = cells.unit_of(column, dimension)
-        return UNITS[dimension].get(unit or "", math.nan)
+        return columns[key] / UNITS[dimension].get(unit or "", math.nan)
 
-    newton = unit_of("force", "force")
-    metre = unit_of("diameter", "length")
+    loads = as_written("force", "force")
+    sizes = as_written("diameter", "length")
     tension: Array = 0.9 * force / np.square(diameter)
     typical = np.median(tension)
     far = np.abs(np.log(diameter / across)) > math.log(3.0)
     slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
     key = "force"
-    text = ""
     likely = list[str]()
     if slips.any():
         first = np.argmax(slips)
@@ -441,29 +438,27 @@ def _warn_of_slips(
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
             f"of three, the first is {1e3 * diameter[far][0]:.4g} mm"
         )
-        likely = [u for u in _LENGTHS if is_usual(force, diameter / metre * UNITS["length"][u])]
-    elif not low <= typical <= high:
+        likely = [u for u in _LENGTHS if is_usual(force, sizes * UNITS["length"][u])]
+    elif low <= typical <= high:
+        return tension
+    else:
         text = (
             f"0.9 P/D² is {1e-6 * typical:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
             "MPa"
         )
-        likely = [u for u in _FORCES if is_usual(force / newton * UNITS["force"][u], diameter)]
-    if not text:
-        return tension
+        likely = [u for u in _FORCES if is_usual(loads * UNITS["force"][u], diameter)]
     hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
-    if is_usual(diameter / metre * newton, force / newton * metre):
+    if is_usual(sizes * (force / loads), loads * (diameter / sizes)):
         hint = "are the columns of force and diameter swapped?"
-    draft.warn(f"{place}.{key}", f"{table.file}: {text}: {hint}", holds="unit")
+    draft.warn(f"{table.file}: {text}: {hint}", key, holds="unit")
     return tension
 
 
 def _usual_tension(draft: Draft) -> tuple[float, float]:
     """Usual 0.9 P/D² [Pa] of spheres: around the tensile strength of their material."""
-    material = library()["sphere"].get(draft.materials.get("sphere", ""))
-    if material is None or "tensile_strength" not in material.properties:
+    low, high, _ = like_material(draft.materials.get("sphere", "")).range_of("tensile_strength")
+    if math.isnan(low):
         return _TENSION
-    strength = material.properties["tensile_strength"]
-    low, high = strength.range or (strength.value, strength.value)
     return low / _FAR, high * _FAR
 
 
@@ -502,8 +497,8 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     assert draft.scene is not None
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
     # the counter-bodies of the study's rig store energy in the contacts too
-    modulus = float(np.mean([partner.modulus[0] for partner in draft.scene.there]))
-    sphere = {"E": E, "nu": nu, "density": density, "partner": 1.0 / modulus - (1.0 - nu * nu) / E}
+    compliance = 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E
+    sphere = {"E": E, "nu": nu, "density": density, "partner": compliance}
     # the platens may be the partner in the rig; then the same body yields, else the sphere
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from uqsphere.documents import (
@@ -16,8 +15,7 @@ from uqsphere.documents import (
     toml_text,
 )
 from uqsphere.study.check import BOX_STAGES, STAGES, resolve
-from uqsphere.study.document import Draft
-from uqsphere.study.study import Study
+from uqsphere.study.study import Draft, Study
 from uqsphere.uq.foreign import law_table
 
 
@@ -61,9 +59,10 @@ def load_study(
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
     <Study 'Two tables': 1 random input, black box>
     """
-    tables = path
+    tables: object = None
     name = ""
     if isinstance(path, Mapping):
+        tables = path
         text = toml_text(path, law_table)
         path = "study.toml"
     path = Path(path)
@@ -71,12 +70,10 @@ def load_study(
         text = read_text(path)
     data = parse_text(text, path)
     overridden = [set_value(data, override) for override in overrides]
-    if not isinstance(tables, Mapping):
+    if tables is None:
         tables = data
         name = path.name
-    draft = Draft(
-        folder=path.parent, data=data, box=not data.keys().isdisjoint(("inputs", "outputs"))
-    )
+    draft = Draft(path.parent, data, not data.keys().isdisjoint(("inputs", "outputs")))
     for stage in BOX_STAGES if draft.box else STAGES:
         faults = list[Fault]()
         for check in stage:
@@ -90,8 +87,10 @@ def load_study(
             at_keys = [Fault(str(fault), _written(fault.at, tables)) for fault in faults]
             raise refusal(path, text, at_keys, overridden)
     notes = [Fault(message, _written(place, tables)) for place, message in draft.warnings]
-    warnings = [note.render(name if note.path else "") for note in located(text, notes, overridden)]
-    return replace(resolve(draft, path, text), overrides=tuple(overrides), warnings=tuple(warnings))
+    warnings = tuple(
+        note.render(name if note.path else "") for note in located(text, notes, overridden)
+    )
+    return resolve(draft, path, text=text, overrides=tuple(overrides), warnings=warnings)
 
 
 def _written(path: str, tables: object) -> str:

@@ -3,20 +3,18 @@ sphere: a slip of a unit, of two numbers swapped, or of one strength for another
 verdict is established by it.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from typing import TypeAlias
-
-import numpy as np
 
 from uqsphere.arrays import frozen
 from uqsphere.materials import PROPERTIES, Material, library
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
-from uqsphere.study.document import Draft
-from uqsphere.study.study import Limit, strength_name
-from uqsphere.uq import Law
+from uqsphere.study.study import Draft, Limit, strength_name
+from uqsphere.uq.fitting import is_fitted, modulus_of
 
 #: the library's range of a property, and of which solids
 Range: TypeAlias = tuple[float, float, str]
@@ -46,20 +44,19 @@ def warn_of_slips(draft: Draft) -> None:
     """Warn of numbers and strengths far from the library's, and of tests between other partners
     than the rig's.
     """
-    likes = {
-        table: Like(called=name, materials=[_material(name)])
-        for table, name in draft.materials.items()
-    }
+    likes = {table: like_material(name) for table, name in draft.materials.items()}
     likes.setdefault("sphere", _class_of(draft))
     for table, like in likes.items():
         for key in _KEYS:
             path = f"{table}.{key}"
-            if path in draft.numbers:
-                _compare(draft, path, path, draft.mean(path), like.range_of(key))
+            with draft.within(path):
+                _compare(draft, path, draft.mean(path), like.range_of(key))
     for limit in draft.limits.values():
-        _warn_of_modulus(draft, limit)
-        _warn_of_partners(draft, limit)
-        _warn_of_strength(draft, limit, likes["sphere"])
+        with draft.within("limits", limit.name, "strength"):
+            _warn_of_partners(draft, limit)
+            if not is_fitted(limit.strength):
+                _warn_of_modulus(draft, limit)
+                _warn_of_strength(draft, limit, likes["sphere"])
 
 
 @frozen
@@ -69,23 +66,23 @@ class Like:
     called: str
     materials: Sequence[Material]
 
-    def range_of(self, key: str, diameter: float | None = None) -> Range | None:
-        """The range of a property, of particles of a diameter [m] by its size law."""
-        ends = list[float]()
+    def range_of(self, key: str, diameter: float = math.inf) -> Range:
+        """The range of a property, of particles of a diameter [m] by its size law; NaN where the
+        library has none.
+        """
+        ends = []
         for material in self.materials:
             entry = material.properties.get(key)
             if entry is not None:
-                size = 1.0
-                if diameter is not None:
-                    size += (entry.further["size"] / diameter) ** entry.further["exponent"]
-                ends += [size * end for end in entry.range or (entry.value, entry.value)]
-        if not ends:
-            return None
-        return min(ends), max(ends), self.called
+                size = entry.further.get("size", 0.0)
+                factor = 1.0 + (size / diameter) ** entry.further.get("exponent", 1.0)
+                ends += [factor * end for end in entry.range or (entry.value, entry.value)]
+        return min(ends, default=math.nan), max(ends, default=math.nan), self.called
 
 
-def _material(name: str) -> Material:
-    return next(kind[name] for kind in library().values() if name in kind)
+def like_material(name: str) -> Like:
+    """One material of the library."""
+    return Like(called=name, materials=[kind[name] for kind in library().values() if name in kind])
 
 
 def _class_of(draft: Draft) -> Like:
@@ -93,88 +90,78 @@ def _class_of(draft: Draft) -> Like:
     partners; all brittle solids where neither says.
     """
     solids = library()["sphere"]
+    text = " ".join([draft.document.title, *draft.materials.values()]).lower()
+    words = set(re.findall("[a-z]+", text))
+    words |= {word.removesuffix("s") for word in words}
     members = {
         "rocks": [material for material in solids.values() if material.rock],
         "glass": [solids["soda_lime_glass"]],
         "ceramics": [solids["alumina"]],
     }
-    text = " ".join([draft.document.title, *draft.materials.values()]).lower()
-    words = set(re.findall("[a-z]+", text))
-    words |= {word.removesuffix("s") for word in words}
     for called, listed in _CLASSES.items():
         if words.intersection(listed.split()):
             return Like(called=called, materials=members[called])
-    brittle = [*solids.values(), *map(_material, _BRITTLE)]
+    brittle = [*solids.values()]
+    for name in _BRITTLE:
+        brittle += like_material(name).materials
     return Like(called="brittle solids", materials=brittle)
 
 
-def _compare(
-    draft: Draft, place: str, quantity: str, value: float, usual: Range | None, hint: str = ""
-) -> None:
+def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str = "") -> None:
     """Warn of a number more than a factor off the library's range, by which no verdict holds, and
     of one that is alike in all samples where it is less far off.
 
     hint : the way out where the number is too large
     """
-    if usual is None:
-        return
     low, high, solids = usual
     text, *ends = (format_value(x, quantity) for x in (value, low, high))
     span = " to ".join(dict.fromkeys(ends))
-    if not low / _FAR <= value <= high * _FAR:
+    if value < low / _FAR or value > high * _FAR:
         text += f" is more than {_FAR:g} times off the library's {span} for {solids}"
         if value > high:
             text += hint
-        draft.warn(place, text, holds="plausibility")
-    elif place.endswith(_ALIKE) and not low / _NEAR <= value <= high * _NEAR:
-        draft.warn(place, f"{text} is unusual for {solids} (library: {span})")
+        draft.warn(text, holds="plausibility")
+    elif draft.place.endswith(_ALIKE) and (value < low / _NEAR or value > high * _NEAR):
+        draft.warn(f"{text} is unusual for {solids} (library: {span})")
 
 
 def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
-    law = limit.strength
-    if not isinstance(law, Law) or law.family.name != "weibull" or law.data or law.draws:
-        return
-    modulus = law.parameters["modulus"]
-    if not _MODULI[0] <= modulus <= _MODULI[1]:
-        text = (
+    modulus = modulus_of(limit.strength)
+    if modulus is not None and not _MODULI[0] <= modulus <= _MODULI[1]:
+        draft.warn(
             f"a Weibull modulus of {modulus:.3g} is unusual (usual: {_MODULI[0]:g} to "
-            f"{_MODULI[1]:g}). Are two numbers swapped?"
+            f"{_MODULI[1]:g}). Are two numbers swapped?",
+            holds="plausibility",
         )
-        draft.warn(strength_name(limit.name), text, holds="plausibility")
 
 
 def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     """Warn of a strength, not of tests, more than a factor off the library's for the same mode."""
-    mode = FAILURE_MODES.get(failure_place(lookup(limit.quantity)))
-    law = limit.strength
-    if mode is None or (isinstance(law, Law) and (law.data or law.draws)):
+    entry = lookup(limit.quantity)
+    mode = FAILURE_MODES.get(failure_place(entry))
+    if mode is None or entry.dimension != PROPERTIES[mode.strength]:
         return
-    if lookup(limit.quantity).dimension != PROPERTIES[mode.strength]:
-        return
-    diameter = None
+    diameter = math.inf
     if mode.size_law == "particle":
         diameter = 2.0 * draft.mean("sphere.radius")
-    path = strength_name(limit.name)
-    usual = like.range_of(mode.strength, diameter)
     hint = ""
     if mode.strength == "tensile_strength":
         hint = ". Is it a compressive strength? Enter the tensile one, commonly a tenth of it"
-    _compare(draft, path, limit.quantity, draft.mean(path), usual, hint)
+    strength = draft.mean(strength_name(limit.name))
+    _compare(draft, limit.quantity, strength, like.range_of(mode.strength, diameter), hint)
 
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     """Warn where the contact of the tests is of another stiffness than that of the rig."""
     tested = limit.tested
-    scene = draft.scene
-    if tested is None or not tested.forces or scene is None or limit.quantity == "P_max":
+    if tested is None or not tested.forces or limit.quantity == "P_max":
         return
-    sphere = (draft.mean("sphere.E"), draft.mean("sphere.nu"))
-    tests = float(reduced_modulus(*sphere, *tested.platens))
-    rig = float(np.mean([partner.modulus[0] for partner in scene.there]))
+    tests = reduced_modulus(draft.mean("sphere.E"), draft.mean("sphere.nu"), *tested.platens)
+    rig = draft.contact_modulus
     if abs(tests / rig - 1.0) > _STIFFER:
         text = (
             f"E* is {format_value(tests, 'sphere.E', 3)} in the tests but "
             f"{format_value(rig, 'sphere.E', 3)} in the rig, so equal values of {limit.quantity} "
             'mean different forces. quantity = "P_max" limits the force itself'
         )
-        draft.warn(f"{strength_name(limit.name)}.platens", text)
+        draft.warn(text, "platens")

@@ -5,24 +5,28 @@ SI.
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import field, fields, is_dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from pydantic import BaseModel
 
 from uqsphere.arrays import Array, Names, frozen
+from uqsphere.documents import path_of, within
 from uqsphere.files import Json
 from uqsphere.materials import Property
-from uqsphere.mechanics.criteria import CRITERIA
+from uqsphere.mechanics.criteria import CRITERIA, Demands
 from uqsphere.mechanics.crushing import Demand
+from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import MeasuredPulse
-from uqsphere.mechanics.rigs import DEFAULT_RIG
+from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS, Rig
 from uqsphere.mechanics.scene import Scene
-from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, ModelChoice
-from uqsphere.study.values import Tested
+from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, ModelChoice, Words
+from uqsphere.study.values import Number, Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint
 from uqsphere.uq.families import Family
 
@@ -147,14 +151,14 @@ class Study:
     dependence: tuple[Dependence, ...]
     analysis: Analysis
     margins: Margins | None
-    outputs: Names = ()
-    warnings: tuple[str, ...] = ()
-    overrides: tuple[str, ...] = ()
-    record: MeasuredPulse | None = None
-    gauges: tuple[Gauge, ...] = ()
-    files: tuple[tuple[str, Path], ...] = ()
-    made_up: Names = ()
-    caveats: tuple[tuple[str, str, str], ...] = ()
+    outputs: Names
+    warnings: Names
+    overrides: Names
+    record: MeasuredPulse | None
+    gauges: tuple[Gauge, ...]
+    files: tuple[tuple[str, Path], ...]
+    made_up: Names
+    caveats: tuple[tuple[str, str, str], ...]
 
     def __init__(self, **tables: Any) -> None:
         if "path" not in tables:
@@ -167,12 +171,12 @@ class Study:
             if isinstance(outputs, str):
                 outputs = [outputs]
             if isinstance(outputs, list | tuple):
-                tables["outputs"] = {"names": list(outputs)}
+                tables["outputs"] = {"names": outputs}
             if isinstance(inputs, Mapping):
                 tables["inputs"] = of_salib(inputs)
-            tables = {**vars(load_study(tables))}
+            tables = dict(vars(load_study(tables)))
         for entry in fields(self):
-            object.__setattr__(self, entry.name, tables.pop(entry.name, entry.default))
+            object.__setattr__(self, entry.name, tables.pop(entry.name))
         if tables:
             raise TypeError(f"Study has no {min(tables)}")
 
@@ -200,7 +204,7 @@ class Study:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments
         or layout.
         """
-        text = json.dumps(self.meaning(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        text = json.dumps(self.meaning(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
     def changed_keys(self, other: Self) -> list[str]:
@@ -219,12 +223,12 @@ class Study:
         return [key for key in changed if key != "order"] or changed
 
     @property
-    def demands(self) -> dict[str, tuple[str, Mapping[str, float]]]:
+    def demands(self) -> Demands:
         """Quantities that a limit's criterion adds: name -> criterion and its parameters."""
         return {
-            limit.quantity: limit.demand
+            limit.quantity: (limit.criterion, limit.parameters)
             for limit in self.limits
-            if not isinstance(limit.demand, str)
+            if limit.criterion is not None
         }
 
     def laws(self) -> dict[str, Law]:
@@ -253,13 +257,12 @@ class Study:
         return {**self.fixed, **{name: law.nominal_mean() for name, law in self.random.items()}}
 
     def meaning(self) -> dict[str, Json]:
-        """What the answers follow from, as plain JSON values: SI, every default explicit, no
-        infinities.
+        """The meaning of the study as plain JSON values: SI, every default explicit, no infinities;
+        without title, gauges and what is read from the file as it stands.
         """
-        beside = {"title", "gauges", "path", "text", "warnings", "caveats", "overrides", "files"}
-        content: dict[str, Json] = {
-            e.name: plain(getattr(self, e.name)) for e in fields(self) if e.name not in beside
-        }
+        content: dict[str, Json] = plain(self)
+        for key in ("title", "gauges", "path", "text", "warnings", "caveats", "overrides", "files"):
+            del content[key]
         # the order of the random variables decides which point of a sequence goes to which of them
         return {**content, "order": list(self.laws())}
 
@@ -327,7 +330,7 @@ def scene_with(
     model: ModelChoice,
     *,
     record: MeasuredPulse | None,
-    demands: Mapping[str, tuple[str, Mapping[str, float]]] | None = None,
+    demands: Demands | None = None,
 ) -> Scene:
     """The scenes of some columns (n,) under the words of a study; raises ValueError as `Scene`."""
     return Scene(
@@ -350,3 +353,86 @@ def scene_with(
 def strength_name(limit: str) -> str:
     """The path of a limit's strength."""
     return f"limits.{limit}.strength"
+
+
+# --- a study while it is read ---------------------------------------------------------------------
+
+
+class Draft:
+    """What is understood of a study.
+
+    folder : that of the study, outside of which no file is read; files: those it has read, by the
+        names it gives them.
+    data : the tables as the file has them; document: the same, validated.
+    box, plastic : whether it is a black box, whether contacts can yield.
+    numbers : by dotted path (black box: bare name) in the order of the file, strengths and model
+        factors last.
+    scene : the one row at its means.
+    place : what is read at the moment; warnings: the code that each holds a verdict by, by place
+        and text.
+    """
+
+    document: Words
+
+    def __init__(self, folder: Path, data: dict[str, Any], box: bool) -> None:
+        self.folder, self.data, self.box = folder, data, box
+        self.plastic, self.place = False, ""
+        self.numbers = dict[str, Number]()
+        self.options = dict[str, Json]()
+        self.materials = dict[str, str]()
+        self.sources = dict[str, Property]()
+        self.limits = dict[str, Limit]()
+        self.warnings = dict[tuple[str, str], str]()
+        self.files = dict[str, Path]()
+        self.record: MeasuredPulse | None = None
+        self.scene: Scene | None = None
+        self.margins: Margins | None = None
+
+    @property
+    def rig(self) -> Rig:
+        """What loads the sphere."""
+        return RIGS[self.document.rig.kind]
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names that can be requested."""
+        return self.document.outputs.names if self.box else tuple(OUTPUTS)
+
+    def gauges(self) -> dict[str, Gauge]:
+        """The gauges by their places in the study, that of a rod first."""
+        gauges = {f"gauges[{k}]": gauge for k, gauge in enumerate(self.document.gauges)}
+        rod = self.document.rod.gauge
+        if rod is None:
+            return gauges
+        return {"rod.gauge": Gauge.model_construct(bar="rod", position=rod), **gauges}
+
+    @contextmanager
+    def within(self, *at: str | int) -> Iterator[None]:
+        """What is noted inside, and a fault that is raised, lies on the way `at`."""
+        above = self.place
+        self.place = path_of(above, *at)
+        try:
+            with within(*at):
+                yield
+        finally:
+            self.place = above
+
+    def warn(self, message: str, *at: str | int, holds: str = "") -> None:
+        """Note what a user should know of a place and what does not stop the study, once.
+
+        holds : code of the caveat by which no verdict is established, `unit`, `plausibility` or
+            `rate`
+        """
+        self.warnings.setdefault((path_of(self.place, *at), message), holds)
+
+    @property
+    def contact_modulus(self) -> float:
+        """The mean E* [Pa] of the contacts in the rig."""
+        assert self.scene is not None
+        return float(np.mean([partner.modulus[0] for partner in self.scene.there]))
+
+    def mean(self, path: str, absent: float = math.nan) -> float:
+        """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""
+        if path in self.numbers:
+            return self.numbers[path].mean
+        return absent

@@ -4,8 +4,6 @@ beside it tells.
 Such a file has a column of observations, crushing tests, draws of a fit, or the pulse of a record.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -49,7 +47,8 @@ from uqsphere.uq.fitting import (
 from uqsphere.uq.forms import LOGNORMAL, WEIBULL
 
 if TYPE_CHECKING:
-    from uqsphere.study.document import Draft, PulseTable
+    from uqsphere.study.document import PulseTable
+    from uqsphere.study.study import Draft
 
 #: a share of a law outside what has a meaning that is worth a warning
 NOTABLE = 1e-6
@@ -112,10 +111,11 @@ def numbers_of(table: str) -> dict[str, Quantity]:
     those of the bars.
     """
     start = {"insert": "bars.insert_"}.get(table, f"{table}.")
-    numbers = {
-        name.removeprefix(start): entry for name, entry in INPUTS.items() if name.startswith(start)
+    return {
+        name.removeprefix(start): entry
+        for name, entry in INPUTS.items()
+        if name.startswith(start) and not name.startswith(f"{start}insert_")
     }
-    return {key: entry for key, entry in numbers.items() if not key.startswith("insert_")}
 
 
 def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
@@ -135,31 +135,25 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
     return value
 
 
-def number_of(raw: object, quantity: Quantity, draft: Draft, place: str) -> Number:
+def number_of(raw: object, quantity: Quantity, draft: "Draft") -> Number:
     """Value or law of what a file has; warns of what is unusual, and raises Fault."""
     if not isinstance(raw, Mapping):
         number = Number(value=value_of(raw, quantity))
     elif "file" in raw or "draws" in raw or raw.get("dist") in ("empirical", "discrete"):
-        number = law_of_data(raw, quantity, draft, place)
+        number = _law_of_data(raw, quantity, draft)
     else:
         number = _member(raw, quantity)
-    warn_unusual(number.mean, quantity, draft, place)
+    warn_unusual(number.mean, quantity, draft)
     if isinstance(number.value, Law):
-        _check_law(number.value, quantity, draft, place)
+        _check_law(number.value, quantity, draft)
     return number
 
 
-def warn_unusual(value: float, quantity: Quantity, draft: Draft, place: str) -> None:
+def warn_unusual(value: float, quantity: Quantity, draft: "Draft") -> None:
     """Warn of a value (SI) outside the usual range of its quantity."""
-    name = quantity.name
-    low, high = quantity.plausible
-    if not low <= value <= high:
-        draft.warn(
-            place,
-            f"{format_value(value, name)} is unusual (usual: {format_value(low, name)} to "
-            f"{format_value(high, name)}). Is the unit right?",
-            holds="unit",
-        )
+    if not quantity.plausible[0] <= value <= quantity.plausible[1]:
+        text, low, high = (format_value(v, quantity.name) for v in (value, *quantity.plausible))
+        draft.warn(f"{text} is unusual (usual: {low} to {high}). Is the unit right?", holds="unit")
 
 
 def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
@@ -175,20 +169,22 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
         raise Fault(unknown("distribution", kind, FAMILIES) + near, "dist")
     keys = (*family.keys, "lower", "upper")
-    parameters = dict[str, float]()
-    for key in (key for key in raw if key != "dist"):
-        if key not in keys:
+    for key in raw:
+        if key not in ("dist", *keys):
             raise Fault(
                 f"{shown(key)} is not a parameter of the distribution {family.name}, which takes "
                 f"{one_of(keys)}{suggestion(WORDS['synonyms'].get(key, key), keys)}",
                 key,
             )
+    parameters = {}
+    for key in keys:
+        if key not in raw:
+            continue
         entry = quantity if key in DIMENSIONAL else plain_quantity(quantity.name)
         if key not in ("mean", "mode", "lower", "upper") and entry.dimension != "number":
             entry = replace(entry, plausible=(0.0, math.inf))
         with within(key):
             parameters[key] = value_of(raw[key], entry, bounded=False)
-    parameters = {key: parameters[key] for key in keys if key in parameters}
     bounds = parameters.pop("lower", None), parameters.pop("upper", None)
     try:
         return Number(value=make_law(family.name, parameters, *bounds))
@@ -199,7 +195,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
         raise Fault(message, *raw.keys() & {error.key}) from None
 
 
-def _check_law(law: Law, quantity: Quantity, draft: Draft, place: str) -> None:
+def _check_law(law: Law, quantity: Quantity, draft: "Draft") -> None:
     """Refuse a law outside what has a meaning; warn of wide ones, of those cut off, and of tails
     without a meaning.
     """
@@ -221,14 +217,14 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: str) -> None:
         text = f"the coefficient of variation is {cov:.3g}. Is that intended?"
         if "cov" in law.given:
             text += ' Write 15 % as "15 %" or 0.15'
-        draft.warn(place, text)
+        draft.warn(text)
     mean = law.given.get("mean")
     if mean is not None and not law.lower <= mean <= law.upper:
         key, side = ("lower", "below") if mean < law.lower else ("upper", "above")
         draft.warn(
-            f"{place}.{key}",
             f"the mean {format_value(mean, name)} lies {side} the bound "
             f"{format_value(ends[key], name)}: only a tail of the distribution is sampled",
+            key,
         )
     low = quantity.lower
     if quantity.closed:
@@ -239,9 +235,8 @@ def _check_law(law: Law, quantity: Quantity, draft: Draft, place: str) -> None:
         if name in INPUTS:
             effect = "These samples count as failed model runs. "
         draft.warn(
-            place,
             f"{100.0 * outside:.2g} % of the distribution lies outside the valid range "
-            f"({format_bounds(quantity)}). {effect}Truncate it with lower or upper",
+            f"({format_bounds(quantity)}). {effect}Truncate it with lower or upper"
         )
 
 
@@ -267,11 +262,6 @@ def percent(raw: Any) -> Any:
     return raw
 
 
-def keyed(meaning: str, default: Any = None) -> Any:
-    """A key: its meaning in one clause, and its default; one without (...) must be given."""
-    return Field(default=default, description=meaning)
-
-
 #: a number above zero, or a percentage of such
 Positive = Annotated[
     float,
@@ -284,8 +274,8 @@ class Discrete(TomlTable):
     """A distribution of some values, each by its weight."""
 
     dist: Literal["discrete"]
-    values: Annotated[tuple[Any, ...], Field(strict=False)]
-    weights: Annotated[tuple[float, ...], Field(strict=False)] | None = None
+    values: list[Any]
+    weights: list[float] | None = None
 
 
 #: keys that go with draws, forces of tests, and a column
@@ -303,50 +293,53 @@ class Observations(TomlTable):
     draws of a fit.
     """
 
-    dist: Literal["empirical"] | None = keyed("may be omitted with a file")
-    file: str | None = keyed("CSV or .xlsx beside the study")
-    draws: str | None = keyed(
-        "alternative to `file`: posterior samples of a fit with the columns `distribution` "
-        "(lognormal or weibull), "
-        "`scale`, `shape`; optional: `least` (smallest possible strength), `bound` (median "
-        "over the largest possible strength; 0: no largest), `tests` (their number), `diameter`, "
-        "`size_exponent`, and the `smallest` and `largest` diameter tested"
-    )
-    sheet: str | None = keyed("sheet of a workbook (default: the first that is not empty)")
-    decimal: Literal[".", ","] | None = keyed("decimal mark, if a column can be read both ways")
-    column: str | None = keyed("column of observations of the quantity")
-    unit: str | None = keyed("its unit, if the heading has none")
-    force: str | None = keyed(
-        "alternative to `column`: forces at which spheres broke between platens"
-    )
-    force_unit: str | None = keyed("unit of the forces, if the heading has none")
-    diameter: str | None = keyed("required with `force`: column of diameters, or one length")
-    diameter_unit: str | None = keyed("unit of the diameters, if the heading has none")
-    rate: str | None = keyed("column of loading rates, with the unit in the heading")
-    platens: Any = keyed(
-        'platens of the tests: `"bars"`, `"rigid"`, a material, or `E` and `nu`', "bars"
-    )
-    censored: str | None = keyed(
-        "column of flags: 1 for a test stopped before failure (right-censored)"
-    )
-    count: str | None = keyed("column with the number of equal tests (default: one per row)")
-    modulus: Annotated[Positive, Field(ge=0.1, le=1e3)] | None = keyed(
-        "known Weibull modulus; then few failures, or none, suffice"
-    )
-    fit: str | None = keyed(
-        "`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`, "
-        "`rayleigh`, `gamma` or `beta` (default: `weibull` of forces, else `kde`)"
-    )
-    unbiased: bool = keyed(
-        "correct the bias of few tests: in a Weibull modulus, in the scatter of a lognormal fit",
-        False,
-    )
-    synthetic: bool = keyed("synthetic data, which cannot establish a verdict", False)
+    dist: Literal["empirical"] | None = None
+    """may be omitted with a file"""
+    file: str | None = None
+    """CSV or .xlsx beside the study"""
+    draws: str | None = None
+    """alternative to `file`: posterior samples of a fit with the columns `distribution` (lognormal
+    or weibull), `scale`, `shape`; optional: `least` (smallest possible strength), `bound` (median
+    over the largest possible strength; 0: no largest), `tests` (their number), `diameter`,
+    `size_exponent`, and the `smallest` and `largest` diameter tested"""
+    sheet: str | None = None
+    """sheet of a workbook (default: the first that is not empty)"""
+    decimal: Literal[".", ","] | None = None
+    """decimal mark, if a column can be read both ways"""
+    column: str | None = None
+    """column of observations of the quantity"""
+    unit: str | None = None
+    """its unit, if the heading has none"""
+    force: str | None = None
+    """alternative to `column`: forces at which spheres broke between platens"""
+    force_unit: str | None = None
+    """unit of the forces, if the heading has none"""
+    diameter: str | None = None
+    """required with `force`: column of diameters, or one length"""
+    diameter_unit: str | None = None
+    """unit of the diameters, if the heading has none"""
+    rate: str | None = None
+    """column of loading rates, with the unit in the heading"""
+    platens: Any = "bars"
+    """platens of the tests: `"bars"`, `"rigid"`, a material, or `E` and `nu`"""
+    censored: str | None = None
+    """column of flags: 1 for a test stopped before failure (right-censored)"""
+    count: str | None = None
+    """column with the number of equal tests (default: one per row)"""
+    modulus: Annotated[Positive, Field(ge=0.1, le=1e3)] | None = None
+    """known Weibull modulus; then few failures, or none, suffice"""
+    fit: str | None = None
+    """`kde`, `steps`, `weibull`, `lognormal`, `normal`, `frechet`, `gumbel`, `exponential`,
+    `rayleigh`, `gamma` or `beta` (default: `weibull` of forces, else `kde`)"""
+    unbiased: bool = False
+    """correct the bias of few tests: in a Weibull modulus, in the scatter of a lognormal fit"""
+    synthetic: bool = False
+    """synthetic data, which cannot establish a verdict"""
     lower: Any = None
     upper: Any = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Observations:
+    def _one_kind(self) -> Self:
         kind = "column"
         if self.draws is not None:
             kind = "draws"
@@ -359,9 +352,9 @@ class Observations(TomlTable):
 
 
 @contextmanager
-def opened(table: Observations | PulseTable, draft: Draft, key: str = "file") -> Iterator[Table]:
-    """The table of a file in the study's folder, which a key names; at the end all faults that were
-    noted of it are one Fault.
+def opened(table: Any, draft: "Draft", key: str = "file") -> Iterator[Table]:
+    """The cells of a file in the study's folder that a key of a table names; at the end all faults
+    that were noted of it are one Fault.
     """
     name = str(getattr(table, key))
     home = draft.folder.resolve()
@@ -386,9 +379,8 @@ def opened(table: Observations | PulseTable, draft: Draft, key: str = "file") ->
             near = suggestion(name, [item.name for item in home.glob("*") if item.exists()])
             raise Fault(f"there is no file {shown(name)} beside the study{near}", key)
         draft.files[relative.as_posix()] = path
-        cells = read_table(
-            path, decimal=getattr(table, "decimal", None) or "", sheet=table.sheet or ""
-        )
+        decimal = getattr(table, "decimal", None)
+        cells = read_table(path, decimal=decimal or "", sheet=table.sheet or "")
         yield cells
         cells.finish()
     except TableError as fault:
@@ -420,10 +412,10 @@ def is_tests(raw: Any) -> bool:
     )
 
 
-def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place: str) -> Number:
+def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> Number:
     """The distribution of weighted values, of a column, or of draws; raises Fault."""
     if raw.get("dist") == "discrete":
-        if place.startswith("limits."):
+        if draft.place.startswith("limits."):
             raise Fault(
                 "a strength or a model factor needs a density or a column of observations; "
                 "discrete is for inputs",
@@ -447,10 +439,9 @@ def law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: Draft, place:
         None if end is None else value_of(end, quantity, bounded=False)
         for end in (table.lower, table.upper)
     ]
-    warn_of_rows(cells, rows, columns["column"], stopped, draft, place)
-    return Number(
-        value=fit(columns["column"], stopped, table, table.fit, bounds), synthetic=table.synthetic
-    )
+    warn_of_rows(cells, rows, columns["column"], stopped, draft)
+    law = fit(columns["column"], stopped, table, table.fit, bounds)
+    return Number(value=law, synthetic=table.synthetic)
 
 
 #: distributions of draws: whether each is a Weibull distribution
@@ -469,7 +460,7 @@ _DRAWN = {
 }
 
 
-def _drawn(table: Observations, quantity: Quantity, draft: Draft) -> Number:
+def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
     columns = {}
     with opened(table, draft, "draws") as cells:
@@ -502,7 +493,7 @@ def _drawn(table: Observations, quantity: Quantity, draft: Draft) -> Number:
 
 
 def observations(
-    table: Observations, draft: Draft, **dimensions: str
+    table: Observations, draft: "Draft", **dimensions: str
 ) -> tuple[Table, Places, dict[str, Array], Flags]:
     """Tests of a file by the keys that name its columns: the table, the row of each test, columns
     and stops (n,).
@@ -568,9 +559,7 @@ def fit(
         return fitted_law(failures, kind, *bounds, censored=censored, unbiased=table.unbiased)
 
 
-def warn_of_rows(
-    cells: Table, rows: Places, x: Array, stopped: Flags, draft: Draft, place: str
-) -> None:
+def warn_of_rows(cells: Table, rows: Places, x: Array, stopped: Flags, draft: "Draft") -> None:
     """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
     shape of no fit.
     """
@@ -598,7 +587,7 @@ def warn_of_rows(
             f"only {len(x)} observations: the epistemic uncertainty is large. Use at least {_FEW}"
         )
     for text in notes:
-        draft.warn(f"{place}.file", text)
+        draft.warn(text, "file")
 
 
 # --- the pulse of a clean record ------------------------------------------------------------------
@@ -606,7 +595,7 @@ def warn_of_rows(
 _MENDED = "To cut and mend a record, use uqsphere shpb records"
 
 
-def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
+def pulse_of(table: "PulseTable", draft: "Draft") -> MeasuredPulse:
     """The pulse of a file of time and strain, or volts with a factor; raises Fault.  Mending is the
     lab's.
     """
@@ -650,5 +639,5 @@ def pulse_of(table: PulseTable, draft: Draft) -> MeasuredPulse:
             f"rounded, or the record is noisy. {_MENDED}"
         )
     for note in notes:
-        draft.warn("pulse.file", f"{shown(table.file)}: {note}")
+        draft.warn(f"{shown(table.file)}: {note}", "file")
     return pulse
