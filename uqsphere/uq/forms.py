@@ -451,8 +451,12 @@ def drawn(law: Law) -> Form:
         )
         start, low = y[:2].min(axis=1)
         high, end = y[2:].max(axis=1)
-        tails = np.linspace(max(start, -690.0), low, 1000)[:-1], np.linspace(high, end, 1000)[1:]
-        return np.concatenate([tails[0], np.linspace(low, high, 4001), tails[1]])
+        pieces = (max(start, -690.0), low, 1000), (low, high, 4001), (high, end, 1000)
+        return np.unique(np.concatenate([np.linspace(*piece) for piece in pieces]))
 
-    parts: list[Part] = [(GAUSS, logarithm), (hazard, lambda y: (np.exp(y) - least) / scale)]
-    return _mean_of(len(rows), parts, nodes, None)
+    return _mean_of(
+        len(rows),
+        [(GAUSS, logarithm), (hazard, lambda y: (np.exp(y) - least) / scale)],
+        nodes,
+        None,
+    )
