@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.uq import forms
-from uqsphere.uq.forms import Form, LawError
+from uqsphere.uq.forms import Form, LawError, Placed
 
 if TYPE_CHECKING:
     from uqsphere.uq.law import Law
@@ -55,17 +55,18 @@ class Family:
     """
 
     name: str
-    alternatives: tuple[tuple[str, ...], ...] = (
-        (),
-    )  # key sets, of which one must be given; a law keeps the first
-    optional: Mapping[str, float] = field(default_factory=dict)  # further keys with their defaults
-    bounded: bool = (
-        False  # the bounds are required, and are the law's own; those of other laws truncate
-    )
-    logarithmic: bool = False  # the standard form is that of ln x
-    positive: bool = False  # only positive observations can come from it
+    #: key sets, of which one must be given; a law keeps the first
+    alternatives: tuple[tuple[str, ...], ...] = ((),)
+    #: further keys with their defaults
+    optional: Mapping[str, float] = field(default_factory=dict)
+    #: the bounds are required, and are the law's own; those of other laws truncate
+    bounded: bool = False
+    #: the standard form is that of ln x
+    logarithmic: bool = False
+    #: only positive observations can come from it
+    positive: bool = False
     #: parameters, by their keys -> location, scale and standard form; raises LawError
-    form: Callable[..., tuple[float, float, Form]] | None = None
+    form: Callable[..., Placed] | None = None
     #: another key set than the first, with sd for cov -> parameters that it gives; raises LawError
     from_moments: Callable[..., Keys] | None = None
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
@@ -193,7 +194,7 @@ def _beta_keys(mean: float, sd: float, lower: float, upper: float) -> Keys:
     return {"alpha": centre * total, "beta": (1.0 - centre) * total}
 
 
-def _loguniform(lower: float, upper: float) -> tuple[float, float, Form]:
+def _loguniform(lower: float, upper: float) -> Placed:
     if lower <= 0.0:
         raise LawError(f"lower of a loguniform law must be positive, found {lower:g}", "lower")
     return math.log(lower), math.log(upper / lower), forms.UNIFORM
@@ -317,7 +318,7 @@ def _of_scipy(name: str) -> Family | None:
         return None
     keys = tuple((distribution.shapes or "").replace(",", " ").split())
 
-    def form(loc: float, scale: float, **shapes: float) -> tuple[float, float, Form]:
+    def form(loc: float, scale: float, **shapes: float) -> Placed:
         first = (*keys, "")[0]
         for key, value in shapes.items():
             # beyond these SciPy searches for quantiles for minutes

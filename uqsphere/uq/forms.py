@@ -58,16 +58,20 @@ class Form:
     """A law in standard form."""
 
     tails: Callable[[Array], Tails]
-    quantile: Quantile  # p and q = 1 - p, each exact where it is small -> y
-    pdf: Function = no_density  # nan, or anything beyond bounds of its own, off the law
-    moments: tuple[float, float] | None = (
-        None  # mean and sd, where quadrature in normal scores is slow or inexact
-    )
-    orders: tuple[float, float] = (
-        math.inf,
-        math.inf,
-    )  # from which on the lower, the upper tail has no moments
-    mass: float = 1.0  # probability that truncation has left
+    #: p and q = 1 - p, each exact where it is small -> y
+    quantile: Quantile
+    #: nan, or anything beyond bounds of its own, off the law
+    pdf: Function = no_density
+    #: mean and sd, where quadrature in normal scores is slow or inexact
+    moments: tuple[float, float] | None = None
+    #: from which on the lower, the upper tail has no moments
+    orders: tuple[float, float] = (math.inf, math.inf)
+    #: probability that truncation has left
+    mass: float = 1.0
+
+
+#: location and scale of a law, and its standard form
+Placed = tuple[float, float, Form]
 
 
 def _between(start: Tails, end: Tails) -> Any:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from uqsphere.arrays import Array
 from uqsphere.uq.families import FAMILIES, Family, family_named
-from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, Tails, no_density, truncated
+from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density, truncated
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
 _MOST_STEPS = 10_000
@@ -66,7 +66,7 @@ class Law:
     # --- probabilities and quantiles --------------------------------------------------------------
 
     @cached_property
-    def _whole(self) -> tuple[float, float, Form]:
+    def _whole(self) -> Placed:
         """Location, scale and standard form before truncation."""
         if self.family.observed is not None:
             return 0.0, 1.0, self.family.observed(self)

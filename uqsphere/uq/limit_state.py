@@ -395,7 +395,7 @@ def draw_breaking(union: Union, count: int, rng: Generator) -> Breaking | None:
     can be.
     """
     mass = union.any.mean(axis=1)
-    if not mass.sum() > 0.0:
+    if not union.any.any():
         return None
     size, (replicates, n) = len(union.states), union.any.shape
     chances = np.where(mass[:, None] > 0.0, union.any, 1.0)
