@@ -21,8 +21,6 @@ from uqsphere.uq.joint import Joint
 from uqsphere.uq.law import Law
 
 if TYPE_CHECKING:
-    from types import ModuleType
-
     from chaospy import Distribution
 
 # --- chaospy --------------------------------------------------------------------------------------
@@ -77,7 +75,7 @@ def _ends(law: Law) -> list[float]:
     return [float(law.ppf(1e-15)), float(law.isf(1e-15))]
 
 
-def _law_to_chaospy(chaospy: ModuleType, law: Law) -> Distribution:
+def _law_to_chaospy(chaospy: Any, law: Law) -> Distribution:
     ends = law.ends
     if (law.family.bounded or not ends) and law.family.name in CHAOSPY:
         return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *ends)

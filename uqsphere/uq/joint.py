@@ -97,6 +97,10 @@ class Copula:
         return np.asarray((joint - single) * rate + scores)
 
 
+#: columns of inputs with the copula that ties them
+Block = tuple[tuple[int, ...], Copula]
+
+
 def _variate(score: Array, dof: float) -> Array:
     """Student's t variate with the same probability below it as a normal score."""
     if math.isinf(dof):
@@ -232,7 +236,7 @@ class Joint:
 
     names: tuple[str, ...]
     laws: tuple[Law, ...]
-    blocks: tuple[tuple[tuple[int, ...], Copula], ...] = ()
+    blocks: tuple[Block, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Joint of {', '.join(self.names)}{', dependent' if self.dependent else ''}>"
@@ -345,7 +349,7 @@ def make_joint(
     <Joint of a, b, c, dependent>
     """
     pairs = set[tuple[int, ...]]()
-    blocks = list[tuple[tuple[int, ...], Copula]]()
+    blocks = list[Block]()
     correlation = np.eye(len(names))
     for tie in dependences:
         for name in tie.of:
