@@ -120,7 +120,12 @@ def pictures_of(results: Results) -> dict[str, Picture]:
     drawn = _fragility(results)
     for number, (name, entry) in enumerate(quantities, 1):
         if varies(entry):
-            drawn[f"density-{number}"] = _density(results, name, entry)
+            low, middle, high = quantile_texts(entry, name)
+            text = f"Density: 5 % at {low}; 50 % at {middle}; 95 % at {high}"
+            title = with_unit(title_of(name), display_unit(name, entry.range[1] or 1.0)[0])
+            edges = (7.0, 7.0, 4.0, 36.0)
+            figure = svg(draw_density, results, name, size=(370.0, 190.0), edges=edges)
+            drawn[f"density-{number}"] = Picture(title, text, figure)
     columns = indices_of(results, [name for name, _ in quantities[:FIRST]])
     if columns:
         drawn["sobol"] = _sobol(columns)
@@ -169,16 +174,6 @@ def _fragility(results: Results) -> dict[str, Picture]:
     }
 
 
-def _density(results: Results, quantity: str, entry: QuantityEntry) -> Picture:
-    """The small picture of a distribution."""
-    low, middle, high = quantile_texts(entry, quantity)
-    return Picture(
-        with_unit(title_of(quantity), display_unit(quantity, entry.range[1] or 1.0)[0]),
-        f"Density: 5 % at {low}; 50 % at {middle}; 95 % at {high}",
-        svg(draw_density, results, quantity, size=(370.0, 190.0), edges=(7.0, 7.0, 4.0, 36.0)),
-    )
-
-
 def _sobol(columns: Sequence[Indices]) -> Picture:
     """Sobol' indices of some quantities in one chart, a row an input."""
     inputs = columns[0].inputs
@@ -215,10 +210,9 @@ class Plots:
 
         Raises UsageError for a run without [margins].
         """
-        results = self._results
-        if results.study.free is None or not curves_of(results, limit):
+        if not curves_of(self._results, limit):
             raise UsageError("the run has no curve: add [margins] to the study")
-        return self._on(ax, draw_fragility, results, limit)
+        return self._on(ax, draw_fragility, self._results, limit)
 
     def density(self, quantity: str, ax: Axes | None = None) -> Axes:
         """Density of a quantity with the strengths that it is compared with.
