@@ -62,7 +62,7 @@ def plain_logarithms(axis: object, ratio: float) -> None:
     """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where
     there is room.
     """
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     locator: object = LogLocator(subs=(1.0, 2.0, 5.0))
     if ratio >= 2e3:
@@ -70,7 +70,7 @@ def plain_logarithms(axis: object, ratio: float) -> None:
     elif ratio < 5.0:
         locator = MaxNLocator(4)
     axis.set_major_locator(locator)  # type: ignore[attr-defined]
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))  # type: ignore[attr-defined]
+    axis.set_major_formatter("{x:,g}")  # type: ignore[attr-defined]
     axis.set_minor_locator(NullLocator())  # type: ignore[attr-defined]
 
 
