@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from uqsphere.units import UNITS
 DASH = "–"
 #: a number with its interval
 Estimated = Answer | Range
-_UNITS = "|".join(re.escape(unit) for units in UNITS.values() for unit in units if unit)
+_UNITS = "|".join(map(re.escape, filter(None, chain.from_iterable(UNITS.values()))))
 #: a number in front of its unit, with a blank that may break
 _SPLIT = re.compile(rf"(?<=\d) (?=(?:%|{_UNITS})(?![\w/]))")
 

@@ -303,8 +303,8 @@ def quantities(results: Results) -> PageTable:
     answers = table_of(results)
     rows = []
     entries = results.study.quantities
-    quantiles = [row for name in entries for row in answers.where(name, Kind.QUANTILE)]
-    places = dict.fromkeys(float(row.at) for row in quantiles)
+    quantiles = [row for row in results.answers if row.answer == Kind.QUANTILE]
+    places = dict.fromkeys(float(row.at) for row in quantiles if row.subject in entries)
     for name in entries:
         mean = estimate(answers.get(name, Kind.MEAN), name)
         sd = estimate(answers.get(name, Kind.SD), name, 3)
