@@ -35,9 +35,13 @@ class Arrivals(NamedTuple):
 
 
 class _Delay(NamedTuple):
-    """Predicted and recorded delay of a wave in samples; NaN for an arrival that is not seen."""
+    """Predicted and recorded delay of a wave in samples; NaN for an arrival that is not seen.
+
+    signal : of the gauge that the wave passes.
+    """
 
     wave: str
+    signal: Signal
     predicted: float
     seen: float
 
@@ -69,14 +73,14 @@ def find_arrivals(record: Record) -> Arrivals:
             "incident wave. Are the columns exchanged?"
         )
     fits = 0.5 * back.seen * step * bar.wave_speed
-    doubt_a = _doubt(back, (steep, 5.0), incident, fits)
+    doubt_a = _doubt(back, (steep, 5.0), fits)
     speed_ratio = 1.0
     if doubt_a:
         doubt_a += " (or another E or density)"
         speed_ratio = back.predicted / max(back.seen, 1.0)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
     fits = (there.seen * step - bar.passage) * behind.wave_speed
-    doubt_b = _doubt(there, (steep, soft), receiving, fits)
+    doubt_b = _doubt(there, (steep, soft), fits)
     if doubt_b:
         other = there.predicted / max(there.seen, 1.0)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
@@ -94,8 +98,7 @@ def find_arrivals(record: Record) -> Arrivals:
             to_b = receiving.wave.foot - receiving.wave.lead
         return Arrivals(wave.start + back.predicted, to_b, doubt_a, doubt_b, speed_ratio)
     arrivals = []
-    delays = _delays(record, predicted, *_FINE)
-    for signal, delay in zip((record.reflected, receiving), delays, strict=True):
+    for delay in _delays(record, predicted, *_FINE):
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
             shift = delay.late
@@ -103,7 +106,7 @@ def find_arrivals(record: Record) -> Arrivals:
                 f"the {delay.wave} wave is shifted by {-shift * step * 1e6:.3g} us: it comes "
                 "earlier than the gauge distances predict"
             )
-            note(signal, "time shift", text, shift * step)
+            note(delay.signal, "time shift", text, shift * step)
         arrivals.append(wave.start + (delay.predicted + shift))
     return Arrivals(arrivals[0], arrivals[1])
 
@@ -135,8 +138,8 @@ def _delays(
     reflected = _crossing(size, high, begin, len(size))
     transmitted = _crossing(there, level(receiving), 0, receiving.wave.falling + 1)
     return (
-        _Delay("reflected", predicted[0], reflected - first),
-        _Delay("transmitted", predicted[1], transmitted - first),
+        _Delay("reflected", record.reflected, predicted[0], reflected - first),
+        _Delay("transmitted", receiving, predicted[1], transmitted - first),
     )
 
 
@@ -147,8 +150,8 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> float:
     return begin + first[0] if len(first) else math.nan
 
 
-def _doubt(delay: _Delay, spare: tuple[float, float], gauge: Signal, fits: float) -> str:
-    """Why a delay does not fit the distance of a gauge, where another one fits; empty if it does.
+def _doubt(delay: _Delay, spare: tuple[float, float], fits: float) -> str:
+    """Why a delay does not fit the distance of its gauge, where another one fits; empty if it does.
 
     spare : samples in which the wave rises, and by which it may be late beside this.
     """
@@ -159,6 +162,6 @@ def _doubt(delay: _Delay, spare: tuple[float, float], gauge: Signal, fits: float
     side = "early" if delay.late < 0.0 else "late"
     would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
     return (
-        f"the {delay.wave} wave comes {abs(delay.late) * gauge.step * 1e6:.4g} us too {side} for a "
-        f"gauge at {gauge.bar.gauge:.4g} m; {would}"
+        f"the {delay.wave} wave comes {abs(delay.late) * delay.signal.step * 1e6:.4g} us too {side} "
+        f"for a gauge at {delay.signal.bar.gauge:.4g} m; {would}"
     )
