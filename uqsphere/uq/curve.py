@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, special
 from uqsphere.uq.estimate import (
     SURE,
     Estimate,
@@ -63,14 +63,12 @@ def fragility(
         low, high, _ = probability_ends(p, q, error, replicates, samples * replicates)
         curve.append([level, p, min(low, p), max(high, p)])
     # where a curve that has surely risen surely falls, or has fallen and rises
-    steps = np.diff(probabilities, axis=0)
-    sure = np.flatnonzero(_surely_not_zero(steps))
-    rises = steps.mean(axis=1) > 0.0
-    turns = grid[sure[rises[sure] != rises[sure[:1]]]]
+    signs = _sure_signs(np.diff(probabilities, axis=0))
+    sure = np.flatnonzero(signs)
+    turns = grid[sure[signs[sure] != signs[sure[:1]]]]
     for target in targets:
-        above = probabilities - target
-        sides = np.sign(above.mean(axis=1))[_surely_not_zero(above)]
-        if turns.size and np.count_nonzero(np.diff(sides)) != 1:
+        sides = _sure_signs(probabilities - target)
+        if turns.size and np.count_nonzero(np.diff(sides[sides != 0.0])) != 1:
             values[target] = absent(
                 f"the probability is not monotone: it turns back near {turns[0]:.4g}",
                 METHOD,
@@ -83,10 +81,11 @@ def fragility(
     return Fragility(curve=curve, values=values)
 
 
-def _surely_not_zero(values: Array) -> Flags:
-    """Which means of values (K, R) are more than four standard errors from 0."""
+def _sure_signs(values: Array) -> Array:
+    """Signs (K,) of the means of values (K, R); 0 within four standard errors of 0."""
+    mean = values.mean(axis=1)
     error = values.std(axis=1, ddof=1) / math.sqrt(values.shape[1])
-    return np.asarray(np.abs(values.mean(axis=1)) > SURE * error + 1e-9)
+    return np.where(np.abs(mean) > SURE * error + 1e-9, np.sign(mean), 0.0)
 
 
 def _crossings(places: Array, probabilities: Array, target: float, least: float) -> Array:
@@ -121,7 +120,6 @@ def _value(
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
     places = forward(grid)
     pooled = probabilities.mean(axis=1)[:, None]
-
     centre = _crossings(places, pooled, target, least)[0]
     if math.isnan(centre):
         return absent(
