@@ -162,6 +162,6 @@ def _doubt(delay: _Delay, spare: tuple[float, float], fits: float) -> str:
     side = "early" if delay.late < 0.0 else "late"
     would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
     return (
-        f"the {delay.wave} wave comes {abs(delay.late) * delay.signal.step * 1e6:.4g} us too {side} "
-        f"for a gauge at {delay.signal.bar.gauge:.4g} m; {would}"
+        f"the {delay.wave} wave comes {abs(delay.late) * delay.signal.step * 1e6:.4g} us too "
+        f"{side} for a gauge at {delay.signal.bar.gauge:.4g} m; {would}"
     )
