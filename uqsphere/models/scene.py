@@ -52,7 +52,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:
     )
 
 
-def paper_lines(study: Study) -> "tuple[PaperLine, ...]":
+def paper_lines(study: Study) -> tuple[PaperLine, ...]:
     """The paper's printed values beside the corrected ones, every number at its mean; none for a
     study without `compare_with_paper`.
     """
@@ -63,7 +63,7 @@ def paper_lines(study: Study) -> "tuple[PaperLine, ...]":
 
 def scene_at(study: Study, names: Names, rows: Array) -> Scene:
     """The scenes of rows (n, d), whose columns are the numbers `names`."""
-    return scene_of(study, {name: rows[:, k] for k, name in enumerate(names)}, len(rows))
+    return scene_of(study, dict(zip(names, rows.T, strict=True)), len(rows))
 
 
 def _library_onset(study: Study) -> dict[str, float]:
@@ -172,7 +172,7 @@ def check_scene(study: Study) -> None:
     margins = study.margins
     if margins is not None and margins.solve in INPUTS:
         for value in margins.between:
-            code = int(scene_of(study, {margins.solve: np.array([value])}).status[0])
+            code = int(scene_of(study, {margins.solve: value}).status[0])
             if code:
                 raise UsageError(
                     f"margins.between: {format_value(value, margins.solve)} for {margins.solve}: "
@@ -228,7 +228,7 @@ def later_loading(study: Study, names: Names, rows: Array) -> Array:
 
 def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
-) -> "Fractures":
+) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
     paths = [path_of(name, study.demands) for name in quantities]
     return first_fractures(

@@ -109,7 +109,7 @@ def _class_of(draft: Draft) -> Like:
 
 def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str = "") -> None:
     """Warn of a number more than a factor off the library's range, by which no verdict holds, and
-    of one that is alike in all samples where it is less far off.
+    of one that is alike in all samples where it is less far off; NaN, of either, is none.
 
     hint : the way out where the number is too large
     """
