@@ -248,20 +248,21 @@ class Table:
         TableError else.
         """
         column = str(column)
+        headings = self.headings
         bare = list[str]()
-        for heading in self.headings:
+        for heading in headings:
             without = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
             bare.append(next((name for name in without if name != heading), heading))
-        for names in (self.headings, bare):
+        for names in (headings, bare):
             if names.count(column) == 1:
                 return names.index(column)
-        names = self.headings + bare
+        names = headings + bare
         often = "twice or more"
         hint = ""
         if column not in names:
-            if column.isdigit() and 1 <= int(column) <= len(self.headings):
+            if column.isdigit() and 1 <= int(column) <= len(headings):
                 return int(column) - 1
-            same = [h for h in self.headings if _BRACKET.sub("", h).strip() == column]
+            same = [h for h in headings if _BRACKET.sub("", h).strip() == column]
             if len(same) == 1 and dimension != "number":
                 raise TableError(
                     f"{same[0]!r}: {_unknown_unit(same[0], dimension)} ({typed_units(dimension)})",
@@ -270,13 +271,13 @@ class Table:
             often = "not"
             hint = suggestion(column, names)
         hint = hint or _other_sheets(self.notes)
-        if not hint and all(map(_is_numeric, self.headings)):
+        if not hint and all(map(_is_numeric, headings)):
             hint = "; the first row holds numbers: add a row of headings"
-        elif not hint and len(self.headings) == 1 and re.search(r"\S[\s|]", self.headings[0]):
+        elif not hint and len(headings) == 1 and re.search(r"\S[\s|]", headings[0]):
             hint = "; divide columns by commas, semicolons or tabs"
-        headings = ", ".join(repr(h[:24]) for h in self.headings[:12])
+        listed = ", ".join(repr(h[:24]) for h in headings[:12])
         raise TableError(
-            f"the column {column!r} is {often} in {self.name!r}, which has {headings}{hint}", key
+            f"the column {column!r} is {often} in {self.name!r}, which has {listed}{hint}", key
         )
 
     def unit_of(self, column: str, dimension: str) -> str | None:

@@ -44,9 +44,10 @@ class Cache:
             self._database.text_factory = bytes  # a text is no answer, whatever its letters
             # what a killed process has written stays; what a power cut damages is found by the
             # check, and by the checksums
-            self._database.execute("PRAGMA synchronous = OFF")
-            self._database.execute(_TABLE)
-            state = self._database.execute("PRAGMA quick_check(1)").fetchone()[0]
+            execute = self._database.execute
+            execute("PRAGMA synchronous = OFF")
+            execute(_TABLE)
+            state = execute("PRAGMA quick_check(1)").fetchone()[0]
             if state != b"ok":
                 raise sqlite3.Error(f"it is damaged: {state.decode(errors='replace')}")
 

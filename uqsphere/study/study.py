@@ -333,19 +333,20 @@ def scene_with(
     demands: Demands | None = None,
 ) -> Scene:
     """The scenes of some columns (n,) under the words of a study; raises ValueError as `Scene`."""
+    word = options.get
     return Scene(
         columns=columns,
-        rig=options.get("rig.kind", DEFAULT_RIG),
+        rig=word("rig.kind", DEFAULT_RIG),
         options=options,
-        shape=options.get("pulse.shape", "rectangular"),
-        infinite=options.get("bars.infinite", False),
-        rigid_contact=options.get("bars.rigid_contact", False),
+        shape=word("pulse.shape", "rectangular"),
+        infinite=word("bars.infinite", False),
+        rigid_contact=word("bars.rigid_contact", False),
         first_loading_only=model.first_loading_only,
         whole_record=model.whole_record,
         horizon=model.horizon,
         demands=demands or {},
-        contact_law=options.get("contact.law", "hertz"),
-        hardness_at_onset=options.get("contact.hardness") == "onset",
+        contact_law=word("contact.law", "hertz"),
+        hardness_at_onset=word("contact.hardness") == "onset",
         record=record,
     )
 
