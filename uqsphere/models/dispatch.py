@@ -89,7 +89,9 @@ def answer_rows(
                     "Ctrl-C stops the run; the same command continues it"
                 )
             # answers first: what is lost with an executor ends the run
-            for future in sorted(ended, key=_has_failed):
+            for future in sorted(
+                ended, key=lambda call: call.cancelled() or call.exception() is not None
+            ):
                 places = running.pop(future)
                 try:
                     block, seconds = result(future)
@@ -124,7 +126,3 @@ def answer_rows(
             for future in running:
                 future.cancel()
             model.workers.close()
-
-
-def _has_failed(future: Future[Timed]) -> bool:
-    return future.cancelled() or future.exception() is not None
