@@ -474,9 +474,9 @@ class Table:
                 columns.append(column)
         if not columns or rows < 5:
             return
-        digits = np.strings.str_len(np.strings.partition(columns, ".")[2])
+        digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
         values = np.array(columns, dtype=float)
-        steps = 10.0**-digits
+        steps = 10.0 ** -np.array(digits)
         for k in range(max(3, rows - 8), rows):
             above = values[:, :k]
             step = steps[:, k]
