@@ -100,8 +100,10 @@ class Answers(dict[Any, Any]):
         rows = []
         for key, content in self.items():
             order, estimates = (key, content) if isinstance(content, dict) else ("", {key: content})
-            for name, estimate in estimates.items():
-                rows.append({"order": order, "name": name, **vars(estimate)})
+            rows += [
+                {"order": order, "name": name, **vars(estimate)}
+                for name, estimate in estimates.items()
+            ]
         return DataFrame(rows, columns=[*columns, "reason"])
 
 

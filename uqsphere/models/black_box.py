@@ -39,10 +39,11 @@ class ModelFile:
         module = ModuleType(f"uqsphere_black_box_{self.path.stem}")
         module.__file__ = str(self.path)
         sys.modules[module.__name__] = module  # dataclasses and pickle look a module up by its name
-        if str(self.path.parent) not in sys.path:
-            sys.path.append(str(self.path.parent))  # as in a script
+        folder = str(self.path.parent)
+        if folder not in sys.path:
+            sys.path.append(folder)  # as in a script
         try:
-            exec(compile(self.source, str(self.path), "exec"), module.__dict__)
+            exec(compile(self.source, self.path, "exec"), module.__dict__)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # SystemExit, and exceptions of the model's own

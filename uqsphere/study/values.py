@@ -167,7 +167,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     family = family_named(str(kind))
     if family is None:
         near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
-        raise Fault(unknown("distribution", kind, FAMILIES) + near, "dist")
+        raise Fault(f"{unknown('distribution', kind, FAMILIES)}{near}", "dist")
     keys = (*family.keys, "lower", "upper")
     for key in raw:
         if key not in ("dist", *keys):
