@@ -131,7 +131,6 @@ def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.i
 
 def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
     """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
-
     return Form(
         tails=lambda y: (-np.expm1(-hazard(y)), np.exp(-hazard(y))),
         quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))),
@@ -272,7 +271,6 @@ def by_functions(distribution: Any) -> Form:
 
     Raises LawError where `inv` and `cdf` do not belong to each other.
     """
-
     form = Form(
         tails=lambda y: (distribution.cdf(y), 1.0 - distribution.cdf(y)),
         quantile=lambda p, q: distribution.inv(p),
