@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Values, special
 from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
@@ -92,10 +92,10 @@ class Expansion:
         return part, self._variances
 
     @cached_property
-    def _variances(self) -> Array:
+    def _variances(self) -> Values:
         rest = self.residuals - self.residuals.mean()
         off = self.values[:, : rest.shape[1]] - self.integrals.mean
-        return np.asarray(self.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1))
+        return self.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1)
 
 
 def expansions(
@@ -208,7 +208,7 @@ def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
     for j, column in enumerate(np.moveaxis(scores, 2, 0)):
         for side in (-1.0, 1.0):
             outermost = (side * column).argmax(axis=1)[:, None]
-            last = side * float((side * column).max())
+            last = side * (side * column).max()
             chance = float(special.ndtr(-side * last))
             free = -side * special.ndtri(chance * parts)
             # beyond the last row, at it, and as far before it

@@ -219,7 +219,7 @@ def _evaluated(
         raise KeyboardInterrupt  # the user has stopped
     rows = parts[0].join(*parts[1:])
     check_sizes(design, rows.answers)
-    check_failures(design, rows.status[0], f"{int(rows.failed.sum())} of {done} rows")
+    check_failures(design, rows.status[0], f"{rows.failed.sum()} of {done} rows")
     return rows, stopped
 
 
@@ -234,7 +234,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         failed = rows.failed[0]
         inputs = rows.scores[0, :, : len(design.inputs)]
         apart = lie_apart(inputs[failed], inputs[~failed])
-        dropped = float(failed.mean())
+        dropped = failed.mean()
         rows = rows.where(~failed)
     responses: dict[str, Response] = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()

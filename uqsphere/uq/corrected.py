@@ -120,15 +120,15 @@ class Corrected:
         The upper end is open where the tail may be too heavy for a variance.
         """
         outputs = self.response.outputs
-        centre = float(self._table_moment(1)[0].mean() + self.response.residuals.mean())
+        centre = self._table_moment(1)[0].mean() + self.response.residuals.mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
         value, variance = _settled(squares, influence)
         ends = _ends(variance, influence, math.hypot(sampling, fold_spread(squares)))
         rows = (outputs - outputs.mean()) ** 2
-        alone = _ends(float(rows.mean()), rows)
+        alone = _ends(rows.mean(), rows)
         if alone[1] - alone[0] < ends[1] - ends[0] or variance <= 0.0:
-            value = float(rows.mean())
+            value = rows.mean()
             ends = alone
         estimate = self._estimate(*(math.sqrt(max(square, 0.0)) for square in (value, *ends)))
         reason = heavy_tail(self.table) or heavy_tail(outputs, certain=True)
@@ -150,12 +150,13 @@ class Corrected:
         """
         predicted = table(0.0)
         nodes, weights = nodes_of(self.response.residuals)
-        changes = [float(np.mean((table(node) - predicted) ** 2)) for node in nodes.tolist()]
+        changes = [np.mean((table(node) - predicted) ** 2) for node in nodes]
         cell = 0.0
         if np.isin(predicted, (0.0, 1.0)).all():
             cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
-        ends = _probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell)
-        value, low, high = map(float, ends)
+        value, low, high = map(
+            float, _probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell)
+        )
         missed = count_bound(self.runs)
         estimate = self._estimate(value, low, high)
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
@@ -242,7 +243,7 @@ class Corrected:
             sd=sd,
             quantiles={p: self.quantile(p) for p in quantiles},
             censored_share=share(np.zeros(self.table.shape, dtype=bool)),
-            scale=sd.value or float(self.response.outputs.std()),
+            scale=sd.value or self.response.outputs.std(),
         )
 
 
@@ -281,7 +282,7 @@ def _settled(levels: Array, influence: Array) -> tuple[float, float]:
     not count.
     """
     n = len(influence)
-    corrected = float(levels.mean() + influence.mean())
+    corrected = levels.mean() + influence.mean()
     median = float(np.median(levels))
     correction = _significant(corrected - median, influence.var(ddof=1) / n, n)
     return median + float(correction), corrected
@@ -352,8 +353,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2
     used = np.isin(response.fold, folds or range(FOLDS))
     top, bottom, residual = top[:, :, used], bottom[used], residual[used]
-    whole = float(bottom.mean())
-    left = float(np.mean(residual**2)) / whole
+    whole = bottom.mean()
+    left = (residual**2).mean() / whole
     # of the residuals' variance: the least, the most, their half-width, and what is likeliest
     rests = np.zeros((4, 2, d))
     for j, column in enumerate(response.points[used].T):

@@ -156,11 +156,11 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
     counts = kept.sum(axis=1)
     evaluations = samples.size
     replicates = len(samples)
-    total = float(counts.sum())
+    total = counts.sum()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         sums = np.where(kept, samples, 0.0).sum(axis=1)
         means = sums / counts
-        centre = float(sums.sum()) / total
+        centre = sums.sum() / total
         squares = np.where(kept, (samples - centre) ** 2, 0.0)
         # each replicate about its own mean: a common offset of the replicates is not scatter of the
         # quantity
@@ -168,9 +168,9 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         if not np.ptp(samples[kept]):  # nothing but the rounding of a sum
             deviations = np.zeros(replicates)
             squares = np.zeros(samples.shape)
-        deviation = math.sqrt(float(squares.sum()) / total)
+        deviation = math.sqrt(squares.sum() / total)
         parts = squares / (deviation * deviation or 1.0)
-        two, three = (float((parts**k).sum()) / total for k in (2, 3))
+        two, three = ((parts**k).sum() / total for k in (2, 3))
     mean = from_replicates(means, method, evaluations, centre)
     sd = from_replicates(deviations, method, evaluations, deviation)
     if sd.low is not None and sd.high is not None and sd.std_error and two > 1.0 + 1e-12:
@@ -182,7 +182,7 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         moved = max(skewness, 0.0) * (1.0 + 2.0 * student(replicates) ** 2)
         moved /= 6.0 * math.sqrt(replicates)
         sd = replace(sd, low=max(0.0, sd.low), high=sd.high + moved * sd.std_error)
-    largest = float(parts.max()) / total
+    largest = parts.max() / total
     if largest > DOMINANT and total >= CONVERGES:
         reason = (
             f"does not converge: one sample of {total:.0f} makes {100.0 * largest:.0f} % of the "
@@ -274,7 +274,7 @@ def describe_controlled(
     # quantity
     centre = mean.value or 0.0
     variances = controlled(lambda rows: (rows - centre) ** 2)
-    scale = math.sqrt(max(float(variances.mean()), 0.0)) or float(expensive.std())
+    scale = math.sqrt(max(variances.mean(), 0.0)) or expensive.std()
     # the standard deviation moves by half of what the variance does, over itself
     sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
     read = _corrected_reader(expensive, cheap, cheap_many)

@@ -97,9 +97,9 @@ class Estimate:
         return self.spanning(min(ends), max(ends))
 
 
-def exact(value: float, method: str = "one evaluation, nothing random") -> Estimate:
+def exact(value: float) -> Estimate:
     """A number without uncertainty: the answer of a scene in which nothing is random."""
-    return Estimate(value=value, low=value, high=value, std_error=0.0, method=method, evaluations=1)
+    return bounded(value, value, value, 0.0, "one evaluation, nothing random", 1)
 
 
 def absent(reason: str, method: str, evaluations: int, *, below: float | None = None) -> Estimate:
@@ -117,18 +117,13 @@ def bounded(
     if not np.isfinite([value, low, high, error]).all():
         return absent("the answer is beyond floating point", method, evaluations)
     return Estimate(
-        value=value,
-        low=min(low, value),
-        high=max(high, value),
-        std_error=error,
+        value=float(value),
+        low=float(min(low, value)),
+        high=float(max(high, value)),
+        std_error=float(error),
         method=method,
         evaluations=evaluations,
     )
-
-
-def around(value: float, half: float, error: float, method: str, evaluations: int) -> Estimate:
-    """A value with this half-width to either side."""
-    return bounded(value, value - half, value + half, error, method, evaluations)
 
 
 def between(
@@ -220,7 +215,8 @@ def from_replicates(
     if pooled is not None:
         value = pooled
     error = deviation / math.sqrt(values.size - 1)
-    return around(value, student(values.size) * error, error, method, evaluations)
+    half = student(values.size) * error
+    return bounded(value, value - half, value + half, error, method, evaluations)
 
 
 def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:

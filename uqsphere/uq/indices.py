@@ -25,7 +25,7 @@ from uqsphere.arrays import Array
 from uqsphere.uq.estimate import (
     Estimate,
     absent,
-    around,
+    bounded,
     carriers,
     freedom,
     ratio_of_means,
@@ -187,7 +187,7 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     evaluations = outputs.size
     pairs = list(combinations(range(d), 2)) if blocks.second else []
     base = outputs[:, :, [0, -1]]
-    centre = float(base.mean())
+    centre = base.mean()
     if not np.ptp(base) > 1e-14 * np.abs(base).max():
         none = absent(NO_SCATTER, METHOD, evaluations)
         return SampledIndices(first=[none] * d, total=[none] * d, second=dict.fromkeys(pairs, none))
@@ -238,5 +238,5 @@ def _estimates(
         if index or deviations.any():
             error = max(spread(deviations), ROUNDING)
         half = student(1.0 + freedom(len(off), carriers(weights) or math.inf)) * error
-        estimates.append(around(index, half, error, method, evaluations))
+        estimates.append(bounded(index, index - half, index + half, error, method, evaluations))
     return estimates

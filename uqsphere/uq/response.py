@@ -256,7 +256,7 @@ def _bounded(response: Response) -> Response:
     the expansion leaves.
     """
     y = response.outputs
-    whole = float(y.var())
+    whole = y.var()
     if response.constant or not whole > 0.0:
         return response
     # a fold that runs away may have no finite variance

@@ -271,9 +271,9 @@ class Expansion:
         x = columns_of(rows, self.names)
         inside = self.inside(x)
         if outside == "raise" and not inside.all():
-            beyond = int((~inside).sum())
             raise UsageError(
-                f"{beyond} of {len(x)} rows lie beyond the laws of the inputs: see outside = 'nan'"
+                f"{(~inside).sum()} of {len(x)} rows lie beyond the laws of the inputs: see "
+                "outside = 'nan'"
             )
         points = self._points(x)
         value = predict(self.fit, points)

@@ -51,17 +51,17 @@ class Germ:
     table: Callable[[Array], Array]
     recurrence: Array
 
-    def values(self, points: Array) -> Array:
+    def values(self, points: Array) -> Values:
         """Standardised values (n,) of the law at points (n,) of the base."""
         if self.base == "uniform":
             points = special.ndtri(0.5 * (points + 1.0))
-        return np.asarray(self.table(np.clip(points, -REACH, REACH)))
+        return self.table(np.clip(points, -REACH, REACH))
 
 
 GermLike: TypeAlias = str | Germ
 
 
-def values_of(germ: GermLike, points: Array) -> Array:
+def values_of(germ: GermLike, points: Array) -> Values:
     """Values (n,) of a germ at points (n,) of its base."""
     if isinstance(germ, Germ):
         return germ.values(points)
@@ -102,13 +102,13 @@ def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Ar
     recurrence = np.ones((2, degree + 1))
     before = np.zeros_like(values)
     now = np.ones_like(values)
-    last = 1.0
+    last = weights.sum()
     for k in range(degree + 1):
-        square = float(weights @ now**2)
-        a = recurrence[0, k] = float(weights @ (values * now**2)) / square
-        if k:
-            recurrence[1, k] = square / last
-        before, now, last = now, (values - a) * now - recurrence[1, k] * before, square
+        square = weights @ now**2
+        a = recurrence[0, k] = weights @ (values * now**2) / square
+        recurrence[1, k] = square / last
+        before, now = now, (values - a) * now - recurrence[1, k] * before
+        last = square
     return recurrence
 
 
@@ -203,8 +203,8 @@ def _own_germ(
     scores = np.linspace(-REACH, REACH, KNOTS)
     values = law.from_normal(scores)
     weights = np.exp(-0.5 * scores**2)
-    least = float(law.ppf(0.0))
-    low, high = np.where(np.isfinite([least, upper]), [least, upper], values[[0, -1]]).tolist()
+    ends = np.array([law.ppf(0.0), upper])
+    low, high = np.where(np.isfinite(ends), ends, values[[0, -1]]).tolist()
     centre = 0.5 * (low + high)
     half = 0.5 * (high - low)
     standard = (values - centre) / half

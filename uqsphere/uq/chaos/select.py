@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Values
 from uqsphere.uq.chaos.basis import Indices
 from uqsphere.uq.estimate import mean_and_sd
 
@@ -53,19 +53,19 @@ class Target:
         if log:
             self.sign = math.copysign(1.0, outputs[0])
             w = np.log(self.sign * outputs)
-            low = float(w.min())
-            high = float(w.max())
+            low = w.min()
+            high = w.max()
             self.bounds = 2.0 * low - high, 2.0 * high - low
         self.centre, self.spread = mean_and_sd(w)
         self.values = (w - self.centre) / self.spread
 
-    def squares(self, values: Array) -> Array:
+    def squares(self, values: Array) -> Values:
         """Square errors (n,) of predictions, over the variance of the outputs."""
         if not self.log:
-            return np.asarray((values - self.values) ** 2)
+            return (values - self.values) ** 2
         w = self.centre + self.spread * values
         w = np.minimum(np.maximum(w, self.bounds[0]), self.bounds[1])
-        return np.asarray(((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2)
+        return ((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2
 
     def error(self, values: Array) -> float:
         """Mean square error of predictions (n,)."""
@@ -84,10 +84,10 @@ class Choice(NamedTuple):
     error: float
 
     @property
-    def coefficients(self) -> Array:
+    def coefficients(self) -> Values:
         """Least-squares coefficients (k,) of the target, of all samples."""
         q, r = np.linalg.qr(self.rows.T)
-        return np.asarray(np.linalg.solve(r, q.T @ self.target.values))
+        return np.linalg.solve(r, q.T @ self.target.values)
 
     @property
     def std_error(self) -> float:
