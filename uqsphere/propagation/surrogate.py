@@ -189,9 +189,10 @@ def tables_of(
         failures={limit.name: failure(design, tables, limit) for limit in design.judged.limits},
     )
     tables = replace(tables, errors=accuracies(design, tables))
+    if not stopped:
+        stopped = "budget" if tables.inaccurate else "accurate"
     runs = model.evaluations + model.reused
-    ended: Stop = "budget" if tables.inaccurate else "accurate"
-    return replace(tables, stopped=stopped or ended, reached=((runs, tables.worst),))
+    return replace(tables, stopped=stopped, reached=((runs, tables.worst),))
 
 
 def _evaluated(

@@ -30,8 +30,7 @@ from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.basis import score_of
 from uqsphere.uq.chaos.expansion import law_points
-from uqsphere.uq.chaos.fit import constant_fit
-from uqsphere.uq.chaos.select import Order, folds_of
+from uqsphere.uq.chaos.fit import Order, constant_fit, folds_of
 from uqsphere.uq.estimate import count_bound, distances, mean_and_sd, student
 
 METHOD = "polynomial chaos, corrected by its residuals"
