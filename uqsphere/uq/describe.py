@@ -99,8 +99,8 @@ def heavy_tail(outputs: Array, *, certain: bool = False) -> str:
 def describe(
     samples: Array,
     *,
-    censored: Flags | None = None,
-    failed: Flags | None = None,
+    censored: Flags | bool = False,
+    failed: Flags | bool = False,
     on_failure: str = "drop",
     quantiles: Sequence[float] = (0.01, 0.05, 0.5, 0.95, 0.99),
     method: str = "randomised quasi-Monte Carlo",
@@ -113,14 +113,9 @@ def describe(
     either leaves them out (`on_failure` "drop") or has its interval widened to either side of them
     ("bound").
     """
-    samples = np.asarray(samples, dtype=float)
-    broken = ~np.isfinite(samples)
-    if failed is not None:
-        broken |= failed
-    late = np.zeros_like(broken)
-    if censored is not None:
-        late = censored & ~broken
+    broken = ~np.isfinite(samples) | failed
     kept = ~broken
+    late = censored & kept
     total = samples.size
     counts = kept.sum(axis=1)
     if len(samples) < 2 or counts.min() < 2:

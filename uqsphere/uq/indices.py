@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Values
 from uqsphere.uq.estimate import (
     Estimate,
     absent,
@@ -60,7 +60,7 @@ class Blocks:
     @property
     def count(self) -> int:
         """Evaluations for each base point."""
-        return self.inputs_count * (2 if self.second else 1) + 2
+        return self.inputs_count * (1 + self.second) + 2
 
     def mix(self, a: Array, b: Array) -> Array:
         """Blocks (N, count, d) of halves A, B, (N, d) each; of uniforms or of what they are mapped
@@ -98,11 +98,11 @@ def base_points(
 # --- estimators -----------------------------------------------------------------------------------
 
 
-def _mean(rows: Array) -> Array:
-    return np.asarray(rows.mean(axis=1))
+def _mean(rows: Array) -> Values:
+    return rows.mean(axis=1)
 
 
-def _variance(y: Array, z: Array) -> Array:
+def _variance(y: Array, z: Array) -> Values:
     """V of every replicate, of two columns or sets of columns about their common mean."""
     return 0.5 * _mean(y * y + z * z)
 
@@ -164,7 +164,7 @@ class SampledIndices:
 
     first: list[Estimate]
     total: list[Estimate]
-    second: dict[tuple[int, int], Estimate] = field(default_factory=dict)
+    second: dict[tuple[int, int], Estimate]
 
 
 def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
