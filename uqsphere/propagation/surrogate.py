@@ -244,8 +244,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         responses = dict(zip(rows.quantities, fits, strict=True))
     slow = Slow(design=design, rows=rows, responses=responses, sample=rows, dropped=dropped)
     if responses and all(response.usable for response in responses.values()):
-        table = design.points(POINTS)
-        predicted, sample = _with_predictions(table, responses, points_of(design, table.scores))
+        predicted, sample = _with_predictions(design, design.points(POINTS), responses)
         return replace(slow, predicted=predicted, sample=sample)
     count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
     return replace(slow, sample=rows.head(rows.count // count * count).in_blocks(count))
@@ -263,11 +262,14 @@ def lie_apart(some: Array, others: Array) -> bool:
 
 
 def _with_predictions(
-    points: Sample, responses: Mapping[str, Response], germ_points: Array
+    design: Design, points: Sample, responses: Mapping[str, Response], *last: float
 ) -> tuple[Sample, Sample]:
-    """Points with the predictions of all columns at their germ points (R, n, d), as they are and
-    with residuals on them.
+    """Points with the predictions of all columns, as they are and with residuals on them; `last`
+    are germ points behind those of the inputs.
     """
+    germ_points = points_of(design, points.scores)
+    behind = np.broadcast_to(last, (*germ_points.shape[:2], len(last)))
+    germ_points = np.concatenate([germ_points, behind], axis=2)
     values = [response.table(germ_points) for response in responses.values()]
     scattered = map(Response.scattered, responses.values(), values)
     plain, moved = (np.stack([*columns], axis=2) for columns in (values, scattered))
@@ -312,10 +314,6 @@ def _lines(
     fold_line = {}
     for value in grid(margins, VALUES):
         germ = 2.0 * shares_of(margins, value) - 1.0
-        of_table, of_shared = (
-            np.insert(points_of(design, drawn.scores), len(design.germs), germ, axis=2)
-            for drawn in (table, shared)
-        )
-        line[value] = _with_predictions(table, responses, of_table)[1]
-        fold_line[value] = _with_predictions(shared, responses, of_shared)[0]
+        line[value] = _with_predictions(design, table, responses, germ)[1]
+        fold_line[value] = _with_predictions(design, shared, responses, germ)[0]
     return line, fold_line

@@ -255,7 +255,7 @@ def _bounded(response: Response) -> Response:
     the expansion leaves.
     """
     y = response.outputs
-    whole = y.var()
+    whole = float(y.var())
     if response.constant or not whole > 0.0:
         return response
     # a fold that runs away may have no finite variance

@@ -32,7 +32,6 @@ from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_firs
 from uqsphere.uq.points import sobol_points
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
     from pandas import DataFrame
 
 #: rows whose values stay in the processor's cache
@@ -182,18 +181,16 @@ def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
     if not isinstance(germ, Germ):
         return chaospy.Normal(0.0, 1.0) if germ == "normal" else chaospy.Uniform(-1.0, 1.0)
     law = germ.law
+    centre = germ.centre
+    half = germ.half
     if law.family.name == "beta":
         return chaospy.Beta(law.parameters["alpha"], law.parameters["beta"], -1.0, 1.0)
-
-    def physical(x: ArrayLike) -> Array:
-        return germ.centre + germ.half * np.asarray(x)
-
     return chaospy.UserDistribution(
-        cdf=lambda x: law.cdf(physical(x)),
-        pdf=lambda x: law.pdf(physical(x)) * germ.half,
+        cdf=lambda x: law.cdf(centre + half * np.asarray(x)),
+        pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
         lower=lambda: -1.0,
         upper=lambda: 1.0,
-        ppf=lambda p: np.clip((law.ppf(p) - germ.centre) / germ.half, -1.0, 1.0),
+        ppf=lambda p: np.clip((law.ppf(p) - centre) / half, -1.0, 1.0),
     )
 
 
