@@ -18,8 +18,6 @@ degree in a tail.  As far as the last rows contradict it, what it has there is p
 interval (`_beyond`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

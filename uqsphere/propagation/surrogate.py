@@ -6,8 +6,6 @@ fitted; replicate r of a table is predicted by expansion r modulo eight, and eve
 corrected by the N rows.  An event rarer than about 3/N is not in N rows: every answer says so.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping

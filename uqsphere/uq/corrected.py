@@ -23,8 +23,6 @@ An event that none of n rows shows, rarer than `count_bound`, about 3/n, is not 
 Probabilities and quantiles have a second interval that allows for it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

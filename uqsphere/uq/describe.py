@@ -7,8 +7,6 @@ random ones.  Moments are made in two passes, the second about the mean of all s
 cancellation, whatever the offset of the quantity.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

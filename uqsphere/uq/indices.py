@@ -12,8 +12,6 @@ freedom are those of the replicates and of the points that carry the answer
 (`uqsphere.uq.estimate.freedom`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -17,20 +17,18 @@ output itself is expanded in the scores as well.  This is kept if fewer folds ar
 no more is left of the variance; it may be more where no coefficients could be trusted before.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places
 from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.basis import score_of
 from uqsphere.uq.chaos.expansion import law_points
-from uqsphere.uq.chaos.fit import Order, constant_fit, folds_of
+from uqsphere.uq.chaos.fit import constant_fit, folds_of
 from uqsphere.uq.estimate import count_bound, distances, mean_and_sd, student
 
 METHOD = "polynomial chaos, corrected by its residuals"
@@ -95,7 +93,7 @@ class Response:
     """
 
     folds: tuple[Fold, ...]
-    fold: Order
+    fold: Places
     points: Array
     outputs: Array
     levels: Array

@@ -2,8 +2,6 @@
 chaospy's objects.
 """
 
-from __future__ import annotations
-
 from uqsphere.uq.chaos.basis import (
     Germ,
     GermLike,

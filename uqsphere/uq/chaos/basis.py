@@ -8,8 +8,6 @@ given in the base of a germ, "normal" or "uniform", so that both bases of an inp
 the same points.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -18,13 +16,10 @@ from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, Places, Values, special
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law
-
-Indices: TypeAlias = npt.NDArray[np.int64]
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11
 HIGHEST_DEGREE = 15
@@ -155,7 +150,7 @@ def steps_of(law: Law) -> tuple[Array, Array]:
     return special.ndtri(np.cumsum(weights) - 0.5 * weights), weights
 
 
-def highest_degrees(germs: Sequence[GermLike], points: Array) -> Indices:
+def highest_degrees(germs: Sequence[GermLike], points: Array) -> Places:
     """Highest degree (d,) in each input at germ points (n, d): below the number of its different
     values.
 
@@ -255,7 +250,7 @@ def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
 # --- products of polynomials ----------------------------------------------------------------------
 
 
-def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> Indices | None:
+def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> Places | None:
     """Multi-indices (P, d) with (Σ α_j^norm)^(1/norm) <= degree, or None if there are more than
     `most`.
 
@@ -275,7 +270,7 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> I
 
 
 @lru_cache(maxsize=64)
-def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Indices, tuple[int, ...]]:
+def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Places, tuple[int, ...]]:
     """The largest hyperbolic set of at most `most` terms, and how many of them each degree from 1
     on has.
 
@@ -294,7 +289,7 @@ def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Indice
     return terms[np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(map(len, sets[1:]))
 
 
-def grown(active: Indices, weights: Array, highest: int, most: int) -> Indices:
+def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
     """The terms `active` (k, d), what lies below them, and the neighbours one degree above: at most
     `most` terms.
 
@@ -328,7 +323,7 @@ def _with(row: tuple[int, ...], j: int, degree: int) -> tuple[int, ...]:
     return (*row[:j], degree, *row[j + 1 :])
 
 
-def skipping(active: Indices, highest: int) -> Indices:
+def skipping(active: Places, highest: int) -> Places:
     """The terms (m, d) two degrees above one of `active` (k, d) in an input of it, unless these are
     there.
 
@@ -344,7 +339,7 @@ def skipping(active: Indices, highest: int) -> Indices:
     return np.array(sorted(rows), dtype=np.int64).reshape(-1, active.shape[1])
 
 
-def products(tables: Sequence[Array], terms: Indices) -> Array:
+def products(tables: Sequence[Array], terms: Places) -> Array:
     """Values (P, n) of the products with degrees terms (P, d), from those (degree + 1, n) of each
     input, of which row 0 is 1.
     """
@@ -356,7 +351,7 @@ def products(tables: Sequence[Array], terms: Indices) -> Array:
     return matrix
 
 
-def rows_of(germs: Sequence[GermLike], points: Array, terms: Indices) -> Array:
+def rows_of(germs: Sequence[GermLike], points: Array, terms: Places) -> Array:
     """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
     triples = zip(germs, points.T, terms.max(axis=0).tolist(), strict=True)
     return products([orthonormal_values(*triple) for triple in triples], terms)

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags, Places, special
 from uqsphere.uq.chaos.basis import (
     Germ,
     GermLike,
-    Indices,
     germ_points,
     highest_degrees,
     nested,
@@ -74,7 +73,7 @@ class Chaos:
     """
 
     coefficients: Array
-    multi_indices: Indices
+    multi_indices: Places
     germs: tuple[GermLike, ...]
     log: bool = False
     sign: float = 1.0

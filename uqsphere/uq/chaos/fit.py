@@ -16,16 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Places, Values
 from uqsphere.uq.chaos.basis import (
     HIGHEST_DEGREE,
     GermLike,
-    Indices,
     grown,
     highest_degrees,
     hyperbolic_indices,
@@ -36,8 +34,6 @@ from uqsphere.uq.chaos.basis import (
 )
 from uqsphere.uq.chaos.expansion import Chaos
 from uqsphere.uq.estimate import mean_and_sd
-
-Order: TypeAlias = npt.NDArray[np.intp]
 
 #: what is left of the square norm of the outputs by rounding (the square of 1e-15), and of a row
 #: that depends on those taken before, to half of the digits
@@ -137,7 +133,7 @@ class Space:
         self.highest = highest_degrees(germs, points)
         self.most = min(max(400, 3 * len(points)), MOST_CANDIDATES)
 
-    def basis(self, terms: Indices, sizes: Sequence[int] = ()) -> Basis:
+    def basis(self, terms: Places, sizes: Sequence[int] = ()) -> Basis:
         """The products with degrees `terms` (P, d) that the points can tell from lower ones, and
         how many of the first so many terms these are.
         """
@@ -231,7 +227,7 @@ class Basis(NamedTuple):
     the sizes of nested sets within.
     """
 
-    terms: Indices
+    terms: Places
     rows: Array
     sizes: Sequence[int] = ()
 
@@ -244,7 +240,7 @@ class Target:
     may leave the samples by as much as these range.
     """
 
-    def __init__(self, outputs: Array, folds: Order, *, log: bool = False) -> None:
+    def __init__(self, outputs: Array, folds: Places, *, log: bool = False) -> None:
         self.outputs, self.folds, self.log = outputs, folds, log
         self.deviation = mean_and_sd(outputs)[1]
         self.sign, self.bounds, w = 1.0, (-math.inf, math.inf), outputs
@@ -276,7 +272,7 @@ class Choice(NamedTuple):
     """
 
     target: Target
-    terms: Indices
+    terms: Places
     rows: Array
     held_out: Array
     error: float
@@ -294,7 +290,7 @@ class Choice(NamedTuple):
         return float(squares.std()) / math.sqrt(squares.size)
 
 
-def folds_of(n: int, folds: int) -> Order:
+def folds_of(n: int, folds: int) -> Places:
     """Fold of every sample: each run of `folds` samples is dealt out in an order of its own, the
     same every time.
     """
@@ -330,7 +326,7 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
     squares_left = np.vecdot(residuals, residuals)
     floors = ROUNDING * squares_left
     correlations = residuals @ candidates.T
-    rows = np.zeros(lanes, dtype=np.intp)
+    rows = np.zeros(lanes, dtype=np.int64)
     lane = 1 + folds
     sample = np.arange(n)
     predicted = held_out = np.zeros(n)
