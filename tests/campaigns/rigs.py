@@ -72,7 +72,7 @@ def errors_of(answers: np.ndarray, row: Row) -> dict[str, float]:
     pole, found = row["poles"][1], {}
     echoing = pole["end"] != 0.0
     if echoing:  # the judge goes on for three more round trips
-        record = float(answers[tracked.ANSWER_END]) + 3.0 * pole["trip"]
+        record = float(answers["ended"]) + 3.0 * pole["trip"]
         jumps = np.arange(pole["trip"], record, pole["trip"]).tolist()
         other = second(row, rtol=1e-11, stop="end", record=record, jumps=jumps)
     else:
@@ -80,11 +80,11 @@ def errors_of(answers: np.ndarray, row: Row) -> dict[str, float]:
     for k, pole in enumerate(other.poles):
         largest = other.top(lambda rows, k=k: rows[k])
         if pole.law is not None and largest > 0.0:
-            found[f"x_{'ab'[k]}"] = answers[tracked.ANSWER_FACES + k] / largest - 1.0
-    found["contact"] = answers[tracked.ANSWER_CONTACT] / other.first_loss - 1.0
+            found[f"x_{'ab'[k]}"] = answers["x"][k] / largest - 1.0
+    found["contact"] = answers["contact"] / other.first_loss - 1.0
     if not echoing:
-        found["parting"] = answers[tracked.ANSWER_PARTING] / other.end - 1.0
-    speeds = answers[[tracked.ANSWER_SPEED, tracked.ANSWER_SPEEDS, tracked.ANSWER_SPEEDS + 1]]
+        found["parting"] = answers["parting"] / other.end - 1.0
+    speeds = np.array([answers["sphere_speed"], *answers["end_speed"]])
     found["speeds"] = float(np.abs(speeds - other.state[2:5]).max())
     return {name: abs(value) / TOLERANCE for name, value in found.items()}
 

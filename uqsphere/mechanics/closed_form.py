@@ -320,7 +320,7 @@ def _light(scene: Scene) -> dict[str, Array]:
     return {
         **dict.fromkeys(("x_max", "x_a"), raised * slow_a),
         "x_b": raised * slow_b,
-        **dict.fromkeys(("force_b_at_a", "force_a_at_b", "mean_force"), q),
+        **dict.fromkeys(("other_a", "other_b", "mean_force"), q),
         "difference": np.zeros(1),
         "duration": (1.0 + at["restitution"]) / at["force"] * time,
         "stored": 0.4 * q * (slow_a + slow_b),
@@ -440,7 +440,7 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
     return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), approach / scales.approach),
-        **dict.fromkeys(("force_b_at_a", "force_a_at_b", "mean_force"), force / scales.force),
+        **dict.fromkeys(("other_a", "other_b", "mean_force"), force / scales.force),
         **dict.fromkeys(("difference", "ended"), np.zeros(1)),
         "stored": 2.0 * stored / (scales.force * scales.approach),
         "rise": 0.8 * force / rate / scales.time,

@@ -17,7 +17,7 @@ from uqsphere.arrays import Array, ColumnMap, Flags, Places, Values, frozen, qui
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.criteria import CRITERIA, DEMANDS, Demands, demand
 from uqsphere.mechanics.inputs import declared
-from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, SCALED
+from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, WISHES
 from uqsphere.mechanics.rigs import wave_loss
 from uqsphere.mechanics.scene import Partner, Scene, answered
 from uqsphere.mechanics.yielding import Press
@@ -109,8 +109,8 @@ def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, An
 
 
 def _roots(names: Iterable[str], demands: Demands) -> set[str]:
-    """What quantities and demands are computed from: names of `SCALED`, and inputs that may be
-    absent.
+    """What quantities and demands are computed from: names of `tracked.answer_columns`, and inputs
+    that may be absent.
     """
     roots = set()
     for name in names:
@@ -130,8 +130,7 @@ def wishes(quantities: Collection[str] | None, demands: Demands) -> int:
     quantities: all of `OUTPUTS` if None.
     """
     names = OUTPUTS if quantities is None else quantities
-    roots = _roots(names, demands) & SCALED.keys()
-    return reduce(or_, (SCALED[name][1] for name in roots), 0)
+    return reduce(or_, (WISHES.get(root, 0) for root in _roots(names, demands)), 0)
 
 
 # --- contacts that differ, or yield ---------------------------------------------------------------
@@ -191,8 +190,6 @@ def _side(scene: Scene, partner: Partner, x: Array) -> Columns:
 
 #: columns of a row that are the largest over its contacts, each separately
 _LARGEST = ("P_max", "alpha_max", "a_max", "p_max", "p_mean", "p_hertz", "dent_left")
-#: force at the other contact when A, or B, is at its peak
-_OPPOSITE = {"a": "force_b_at_a", "b": "force_a_at_b"}
 
 
 def _of_faces(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
@@ -210,7 +207,7 @@ def _of_faces(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
         side = _side(scene, partner, tracked[f"x_{partner.pole}"])
         side |= {"share": partner.share, "takes": partner.takes}
         if not scene.by_wave:
-            other = 0.0 if single else force * tracked[_OPPOSITE[partner.pole]]
+            other = 0.0 if single else force * tracked[f"other_{partner.pole}"]
             side["balance"] = np.where(side["P_max"] > 0.0, other / side["P_max"], 0.0)
         sides.append(side)
 
@@ -426,7 +423,7 @@ def answers_from(
 ) -> SceneAnswers:
     """Answers in SI from scaled results of the integrator or of a closed form.
 
-    tracked: columns of `tracked.SCALED` by name, (n,) each.  linear: the force is proportional to
+    tracked: what `tracked.answer_columns` has, (n,) each.  linear: the force is proportional to
     the approach; the pressure follows from the force by Hertz.  quantities: all available ones if
     None.  A row with a quantity that is not finite gets the status `NOT_FINITE`.
 

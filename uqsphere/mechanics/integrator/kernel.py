@@ -31,7 +31,7 @@ units and who writes them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from uqsphere.arrays import Array, Places
 from uqsphere.mechanics.integrator import events, incoming, lanes, records, tracked
@@ -107,9 +107,9 @@ class Rows(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """What n rows come to: answers (n, tracked.ANSWERS), status (n,) and steps (n,)."""
+    """What n rows come to: answers (n,) of the type tracked.ANSWER, status (n,) and steps (n,)."""
 
-    answers: Array
+    answers: Any
     status: Places
     steps: Places
 

@@ -413,57 +413,47 @@ def finish(s, j, made, out):
     """Answers of a row that has ended, in scaled variables."""
     lane = s.lane[j]
     for face in range(2):
-        # of faces that are alike the larger is followed
-        of, other = (face, lane.other[face]) if s.has_laws else (0, math.nan)
-        out[tracked.ANSWER_FACES + face] = (
-            largest_approach(s, face * LANES + j) if s.has_laws else lane.peak[0]
-        )
-        out[tracked.ANSWER_FIRSTS + face] = lane.x_first[of]
-        out[tracked.ANSWER_OTHERS + face] = other
-    out[tracked.ANSWER_UNLOADINGS] = lane.unloadings
-    out[tracked.ANSWER_TOUCHES] = lane.chatter
-    out[tracked.ANSWER_X_MAX] = max(out[tracked.ANSWER_FACES], out[tracked.ANSWER_FACES + 1])
-    out[tracked.ANSWER_X_FIRST] = max(lane.x_first[0], lane.x_first[1])
-    out[tracked.ANSWER_END] = lane.ended
-    out[tracked.ANSWER_DURATION] = lane.duration
-    out[tracked.ANSWER_COUNTED] = lane.counted
-    out[tracked.ANSWER_CONTACT] = lane.ended
-    out[tracked.ANSWER_CONTACT_CENSORED] = 1.0
+        m = face * LANES + j
+        # of faces that are alike the larger approach is followed
+        out.x[face] = lane.peak[FACE_A]
+        out.x_first[face] = lane.x_first[FACE_A]
+        if s.has_laws:
+            out.x[face] = largest_approach(s, m)
+            out.x_first[face] = lane.x_first[face]
+            out.other[face] = lane.other[face]
+        if s.wanted & tracked.WANT_CARRIED:
+            out.carried[face] = lane.carried[face]
+        out.end_speed[face] = s.side_sign[m] * s.free[0, m]
+    out.sphere_speed = s.u[0, j]
+    if s.wanted & tracked.WANT_DIFFERENCE:
+        out.difference = lane.peak[DIFFERENCE]
+    if s.wanted & tracked.WANT_MEAN:
+        out.mean_force = lane.peak[MEAN]
+    if s.wanted & tracked.WANT_ENERGY:
+        out.stored = lane.peak[ENERGY]
+    if s.wanted & tracked.WANT_SHARE:
+        out.stored_sphere = lane.peak[SHARE]
+    out.duration = lane.duration
+    out.counted = lane.counted
+    out.contact = lane.ended
+    out.contact_censored = 1.0
     if not math.isnan(lane.lost):
-        out[tracked.ANSWER_CONTACT] = lane.lost
-        out[tracked.ANSWER_CONTACT_CENSORED] = 0.0
-    out[tracked.ANSWER_GRAZED] = lane.grazed
-    out[tracked.ANSWER_BLUR] = lane.blur
-    out[tracked.ANSWER_PARTING] = lane.ended
+        out.contact = lane.lost
+        out.contact_censored = 0.0
+    out.blur = lane.blur
+    out.grazed = lane.grazed
+    out.parting = lane.ended
     if not math.isnan(lane.parted):
-        out[tracked.ANSWER_PARTING] = lane.parted
-    for kind in range(DIFFERENCE, KINDS):
-        if s.wanted & (1 << (kind - 1)):
-            out[_ANSWER_OF[kind]] = lane.peak[kind]
-    if s.wanted & tracked.WANT_CARRIED:
-        out[tracked.ANSWER_CARRIED] = lane.carried[0]
-        out[tracked.ANSWER_CARRIED + 1] = lane.carried[1]
+        out.parting = lane.parted
     if s.wanted & tracked.WANT_RISE:
-        top = out[tracked.ANSWER_X_MAX]
+        top = max(out.x[0], out.x[1])
         power = 2.0 / 3.0
         if s.has_laws:
             top = largest_force(s, j)
         if s.has_laws or s.mode == LINEAR:
             power = 1.0
         tenth = first_at(s, j, made, top * 0.1**power)
-        nine = first_at(s, j, made, top * 0.9**power)
-        out[tracked.ANSWER_RISE] = nine - tenth
-    out[tracked.ANSWER_SPEED] = s.u[0, j]
-    out[tracked.ANSWER_SPEEDS] = s.free[0, j]
-    out[tracked.ANSWER_SPEEDS + 1] = -s.free[0, LANES + j]
-
-
-#: columns of the answers that largest values go to
-_ANSWER_OF = (
-    tracked.ANSWER_FACES,
-    tracked.ANSWER_FACES + 1,
-    tracked.ANSWER_DIFFERENCE,
-    tracked.ANSWER_ENERGY,
-    tracked.ANSWER_SHARE,
-    tracked.ANSWER_MEAN,
-)
+        out.rise = first_at(s, j, made, top * 0.9**power) - tenth
+    out.ended = lane.ended
+    out.unloadings = lane.unloadings
+    out.touches = lane.chatter

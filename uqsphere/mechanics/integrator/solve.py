@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -255,14 +255,13 @@ def _poles(scene: Scene, rows: Places) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
-    """Scaled answers (n, ANSWERS) of `uqsphere.mechanics.integrator.tracked`, status (n,) and steps
-    (n,) of n rows.
+    """Scaled answers (n,) of the type `tracked.ANSWER`, status (n,) and steps (n,) of n rows.
 
     What was not asked for may be NaN.  `paths`: start, length and states (as of `Motion`) of every
     row's steps, where they were kept.
     """
 
-    answers: Array
+    answers: Any
     status: Places
     steps: Places
     paths: tuple[tuple[Array, Array, Array], ...] = ()
@@ -442,7 +441,7 @@ def motions(
                 length=length,
                 states=states[:, :3],
                 forces=states[:, 3:] if given["laws"].shape[1] else None,
-                end=float(scaled.answers[k, tracked.ANSWER_END]),
+                end=float(scaled.answers["ended"][k]),
                 fidelity=fidelity,
             )
         return courses
@@ -510,10 +509,9 @@ def solve(
         scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
     )
 
-    columns = {name: found.answers[:, column] for name, (column, _) in tracked.SCALED.items()}
     return answers_from(
         scene,
-        columns,
+        tracked.answer_columns(found.answers),
         found.status,
         found.steps,
         linear=fidelity == "linear",
@@ -558,15 +556,8 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
-#: answers of long rows that are compared at two tolerances, and what has to be wanted for them
-_COMPARED = (
-    (tracked.ANSWER_FACES, 0),
-    (tracked.ANSWER_FACES + 1, 0),
-    (tracked.ANSWER_DIFFERENCE, tracked.WANT_DIFFERENCE),
-    (tracked.ANSWER_ENERGY, tracked.WANT_ENERGY),
-    (tracked.ANSWER_MEAN, tracked.WANT_MEAN),
-    (tracked.ANSWER_DURATION, tracked.WANT_DURATION),
-)
+#: answers of long rows that are compared at two tolerances
+_COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
 
 
 def look_closer(
@@ -580,7 +571,7 @@ def look_closer(
     """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse
     than `tolerance`.
 
-    ANSWER_GRAZED is then above 0 where the finest tolerance still leaves a doubt: 1 where an error
+    `grazed` is then above 0 where the finest tolerance still leaves a doubt: 1 where an error
     of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
     tolerances, and where a duration that counts contacts behind the first loss differs by as much
     from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
@@ -606,14 +597,13 @@ def look_closer(
     compared = np.zeros(n, dtype=bool)
     if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
         counted = (status == tracked.OK) & _counts_on(answers)
-    columns = [column for column, wish in _COMPARED if not wish or wanted & wish]
+    free = _COMPARED - tracked.WISHES.keys()
+    columns = free | {name for name in _COMPARED - free if wanted & tracked.WISHES[name]}
     while True:
         if timed:
-            lost = np.nan_to_num(answers[:, tracked.ANSWER_CONTACT])
-            grazed = answers[:, tracked.ANSWER_GRAZED]
-            blur = answers[:, tracked.ANSWER_BLUR] * np.where(
-                (closest == tolerance) & strict, _FIRST_LOOK, 1.0
-            )
+            lost = np.nan_to_num(answers["contact"])
+            grazed = answers["grazed"]
+            blur = answers["blur"] * np.where((closest == tolerance) & strict, _FIRST_LOOK, 1.0)
             moved = np.fmax(lost - grazed, blur)
             doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
         again = (unsettled | doubt | (counted & ~compared)) & (closest > _FINEST)
@@ -629,20 +619,25 @@ def look_closer(
             closest[picked] = closer
             # one that has no room for so many steps keeps the answers that it has
             done = look.status == tracked.OK
-            moved_by = np.abs(look.answers - answers[picked])
-            differs = moved_by > _FIRM * tolerance * np.abs(look.answers)
+            before = tracked.answer_columns(answers[picked])
+            differs = {
+                name: np.abs(column - before[name]) > _FIRM * tolerance * np.abs(column)
+                for name, column in tracked.answer_columns(look.answers).items()
+            }
             compared[picked] = True
-            unsettled[picked] = many[picked] & (~done | differs[:, columns].any(axis=1))
-            counted[picked] &= ~done | differs[:, tracked.ANSWER_DURATION]
+            unsettled[picked] = many[picked] & (
+                ~done | np.any([differs[name] for name in columns], axis=0)
+            )
+            counted[picked] &= ~done | differs["duration"]
             answers[picked[done]] = look.answers[done]
             steps[picked[done]] = look.steps[done]
             closest[picked[~done]] = _FINEST
-    answers[:, tracked.ANSWER_GRAZED] = np.where(unsettled, 2.0, doubt | counted)
+    answers["grazed"] = np.where(unsettled, 2.0, doubt | counted)
     return replace(found, answers=answers)
 
 
-def _counts_on(answers: Array) -> Flags:
+def _counts_on(answers: Any) -> Flags:
     """Rows whose duration counts contacts behind their first loss."""
-    lost = answers[:, tracked.ANSWER_CONTACT_CENSORED] == 0.0
-    behind = answers[:, tracked.ANSWER_COUNTED] > answers[:, tracked.ANSWER_CONTACT]
+    lost = answers["contact_censored"] == 0.0
+    behind = answers["counted"] > answers["contact"]
     return np.asarray(lost & behind)

@@ -3,14 +3,14 @@
 A new answer of a row needs
 
     here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`;
-              an `ANSWER_` (and the length of their range); an entry of `SCALED`; if it costs time
-              a bit `WANT_` (and the length of theirs, and `WANT_ALL`)
-    records   its start in `begin`, its answer in `finish`; for a largest value `_ANSWER_OF`, and
-              `no_later_peak`, by which a record ends once it cannot grow
+              a field of `ANSWER`; if it costs time a bit `WANT_` (and the length of theirs, and
+              `WANT_ALL`), and an entry of `WISHES`
+    records   its start in `begin`, its answer in `finish`; for a largest value `no_later_peak`, by
+              which a record ends once it cannot grow
     events    what follows it in `after_step`; for a largest value of both faces `_both`,
               `_may_grow` and `OF_BOTH`
     outside   `closed_form` for scenes that it answers in place of the integrator; ``outputs.toml``
-              and a formula in `outputs`, which reads it by its name in `SCALED`, and
+              and a formula in `outputs`, which reads it by its name (`answer_columns`), and
               `outputs._LACKING` for scenes without it
 """
 
@@ -80,71 +80,45 @@ TO_THE_END = WANT_DURATION | WANT_CONTACT
 # largest values of a row so far: of each face's approach (of both where faces are alike), of the
 # difference of the forces, of the stored energy, of the sphere's share of it and of the mean force
 FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
-# answers of a row, scaled: approach, force difference, energy, times; of faces A and B each:
-# largest approach, that before the first echo, force of the other face at the peak of this one,
-# integral of its squared force; largest mean force and sphere's share of the stored energy; last
-# parting; speeds of sphere, A and B at the end; how often a face that yields was unloaded, and how
-# often contact was regained before the largest approach; impulse over peak of the mean force; time
-# up to which that impulse counts
-(
-    ANSWER_X_MAX,
-    ANSWER_X_FIRST,
-    ANSWER_DIFFERENCE,
-    ANSWER_ENERGY,
-    ANSWER_CONTACT,
-    ANSWER_CONTACT_CENSORED,
-    ANSWER_RISE,
-    ANSWER_END,
-    ANSWER_GRAZED,
-    ANSWER_FACES,
-    _,
-    ANSWER_FIRSTS,
-    _,
-    ANSWER_OTHERS,
-    _,
-    ANSWER_CARRIED,
-    _,
-    ANSWER_MEAN,
-    ANSWER_SHARE,
-    ANSWER_PARTING,
-    ANSWER_SPEED,
-    ANSWER_SPEEDS,
-    _,
-    ANSWER_UNLOADINGS,
-    ANSWER_TOUCHES,
-    ANSWER_DURATION,
-    ANSWER_BLUR,
-    ANSWER_COUNTED,
-    ANSWERS,
-) = range(29)
-#: what formulas of quantities read of a row's answers, scaled: name -> column, and what has to be
-#: wanted for it
-SCALED = {
-    "x_max": (ANSWER_X_MAX, 0),
-    "x_first": (ANSWER_X_FIRST, 0),
-    "difference": (ANSWER_DIFFERENCE, WANT_DIFFERENCE),
-    "stored": (ANSWER_ENERGY, WANT_ENERGY),
-    "contact": (ANSWER_CONTACT, WANT_CONTACT),
-    "contact_censored": (ANSWER_CONTACT_CENSORED, WANT_CONTACT),
-    "rise": (ANSWER_RISE, WANT_RISE),
-    "ended": (ANSWER_END, 0),
-    "x_a": (ANSWER_FACES, 0),
-    "x_b": (ANSWER_FACES + 1, 0),
-    "x_first_a": (ANSWER_FIRSTS, 0),
-    "x_first_b": (ANSWER_FIRSTS + 1, 0),
-    "force_b_at_a": (ANSWER_OTHERS, 0),
-    "force_a_at_b": (ANSWER_OTHERS + 1, 0),
-    "carried_a": (ANSWER_CARRIED, WANT_CARRIED),
-    "carried_b": (ANSWER_CARRIED + 1, WANT_CARRIED),
-    "mean_force": (ANSWER_MEAN, WANT_MEAN),
-    "stored_sphere": (ANSWER_SHARE, WANT_SHARE),
-    "parting": (ANSWER_PARTING, WANT_CONTACT),
-    "end_speed": (ANSWER_SPEED, 0),
-    "end_speed_a": (ANSWER_SPEEDS, 0),
-    "end_speed_b": (ANSWER_SPEEDS + 1, 0),
-    "touches": (ANSWER_TOUCHES, 0),
-    "duration": (ANSWER_DURATION, WANT_DURATION | WANT_MEAN),
-    "grazed": (ANSWER_GRAZED, 0),
+#: what a row comes to, scaled, one field a line; of faces A and B each where it has two numbers
+ANSWER = np.dtype(
+    [
+        ("x", "f8", 2),  # largest approach
+        ("x_first", "f8", 2),  # that before the first echo
+        ("other", "f8", 2),  # force of the other face at the peak of this one
+        ("carried", "f8", 2),  # integral of the squared force
+        ("end_speed", "f8", 2),  # at the end, of what stands at the pole
+        ("sphere_speed", "f8"),  # at the end
+        ("difference", "f8"),  # largest, of the forces
+        ("mean_force", "f8"),  # largest
+        ("stored", "f8"),  # largest energy
+        ("stored_sphere", "f8"),  # largest share of the sphere in it
+        ("duration", "f8"),  # impulse over peak of the mean force
+        ("counted", "f8"),  # time up to which that impulse counts
+        ("contact", "f8"),  # first loss of contact, or the end of the record
+        ("contact_censored", "f8"),  # 1 for the end of the record
+        ("blur", "f8"),  # how far the error of the approach moves it
+        ("grazed", "f8"),  # when an approach was faint before it; then the doubt (`look_closer`)
+        ("parting", "f8"),  # last loss of contact
+        ("rise", "f8"),  # from a tenth to nine tenths of the largest force
+        ("ended", "f8"),  # end of the record
+        ("unloadings", "f8"),  # how often a face that yields was unloaded
+        ("touches", "f8"),  # how often contact was regained before the largest approach
+    ]
+)
+#: what has to be wanted for an answer that costs time, by its column
+WISHES = {
+    "difference": WANT_DIFFERENCE,
+    "stored": WANT_ENERGY,
+    "contact": WANT_CONTACT,
+    "contact_censored": WANT_CONTACT,
+    "rise": WANT_RISE,
+    "carried_a": WANT_CARRIED,
+    "carried_b": WANT_CARRIED,
+    "mean_force": WANT_MEAN,
+    "stored_sphere": WANT_SHARE,
+    "parting": WANT_CONTACT,
+    "duration": WANT_DURATION | WANT_MEAN,
 }
 
 # law of a face of its own, for both faces of a row (`faces`): onset x_y, softening b, pile-up C,
@@ -359,6 +333,20 @@ def two_bars(rows: int) -> Array:
     return poles
 
 
-def empty_answers(rows: int) -> Array:
+def empty_answers(rows: int) -> Any:
     """Room for the answers of `rows` rows, not a number until a row is done."""
-    return np.full((rows, ANSWERS), np.nan)
+    return np.full(rows, np.nan, ANSWER)
+
+
+def answer_columns(answers: Any) -> dict[str, Array]:
+    """Columns (n,) of answers by name, those of faces with `_a` and `_b`; `x_max` and `x_first` are
+    the larger ones of both faces.
+    """
+    columns = {"x_max": answers["x"].max(axis=1), "end_speed": answers["sphere_speed"]}
+    for name in ANSWER.names or ():
+        column = answers[name]
+        if column.ndim == 1:
+            columns[name] = column
+        else:
+            columns[f"{name}_a"], columns[f"{name}_b"] = column.T
+    return columns | {"x_first": answers["x_first"].max(axis=1)}
