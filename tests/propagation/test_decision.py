@@ -259,6 +259,44 @@ def test_contacts_yield_where_something_says_at_which_pressure() -> None:
     assert "contact.law" not in named.options
 
 
+ELASTIC = """
+[sphere]
+E = "50 GPa"
+nu = 0.25
+radius = "10 mm"
+density = "2650 kg/m3"
+[bars]
+E = "200 GPa"
+nu = 0.3
+density = "7800 kg/m3"
+diameter = "40 mm"
+incident_length = "1.5 m"
+receiving_length = "1.5 m"
+[striker]
+length = "300 mm"
+speed = "3 m/s"
+[insert]
+E = "210 GPa"
+nu = 0.3
+"""
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        ("bars.yield_strength=500 MPa",),
+        ("insert.yield_strength=500 MPa",),
+        ("sphere.onset_pressure=1 GPa", "sphere.hardness=2 GPa"),
+        ("bars.onset_pressure=1 GPa", "bars.hardness=2 GPa"),
+        ("contact.onset_pressure=1 GPa", "contact.hardness=2 GPa"),
+    ],
+)
+def test_contacts_yield_by_any_number_that_says_at_which_pressure(keys: tuple[str, ...]) -> None:
+    # that of an insert, and an onset pressure of the bars, left the contacts elastic
+    assert load_study("elastic.toml", text=ELASTIC).options.get("contact.law") is None
+    assert load_study("elastic.toml", keys, text=ELASTIC).options["contact.law"] == "plastic"
+
+
 def test_fracture_by_a_limit_without_a_target_adds_up() -> None:
     """It takes the place of the library's strength for its mode: who left it out would judge
     neither.

@@ -198,10 +198,7 @@ def _library(draft: Draft) -> Faults:
     document = draft.document
     numbers = draft.numbers
     sources = draft.sources
-    known = "contact.onset_pressure" in numbers
     for table in SCENE:
-        onset = "onset_pressure" if table == "sphere" else "yield_strength"
-        known |= f"{table}.{onset}" in numbers
         name = getattr(getattr(document, table), "material", None)
         if name is None:
             continue
@@ -220,7 +217,6 @@ def _library(draft: Draft) -> Faults:
         if table != "insert":
             draft.materials[table] = name
         properties = materials[name].properties
-        known |= onset in properties
         for key, entry in properties.items():
             path = getattr(numbers_of(table).get(key), "name", None)
             if path and path not in numbers and (table == "sphere" or key not in LAW):
@@ -230,6 +226,8 @@ def _library(draft: Draft) -> Faults:
             draft.warn(f"{name} is not an elastic solid: {E.note}", table, "material")
     law = document.contact.law
     model = document.model
+    # of an insert, a counter-body, the sphere or the contact itself
+    known = any(name.endswith(("onset_pressure", "yield_strength")) for name in numbers)
     follows = model.fidelity == "full" and not model.compare_with_paper
     draft.plastic = law == "plastic" or (law is None and known and follows)
     if not draft.plastic:
