@@ -36,7 +36,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:
         if name not in INPUTS:
             raise UsageError(f"{name!r} is not an input of a scene (allowed: {', '.join(INPUTS)})")
     shape = np.broadcast_shapes((rows,), *map(np.shape, values.values()))
-    numbers = {**study.at_means(), **values, **_library_onset(study)}
+    numbers = {**_library_onset(study), **study.at_means(), **values}
     columns = {
         name: np.broadcast_to(np.asarray(number, float), shape) for name, number in numbers.items()
     }
