@@ -168,7 +168,7 @@ class Settling:
     def _affords(self, rows: int) -> bool:
         """Whether budget and time allow so many more model runs."""
         runs = self.model.evaluations + self.model.reused
-        took = rows * (self.model.seconds_per_row or 0.0)
+        took = rows * self.model.seconds_per_row
         within = runs + rows <= self.model.study.analysis.budget.evaluations
         return within and time.monotonic() + took < self.end
 

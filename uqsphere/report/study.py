@@ -149,7 +149,7 @@ def cost(study: Study) -> str:
     rows = np.concatenate(design.points(4).inputs[..., : len(names)])
     with Model(design.judged, threads=1) as model:  # compiles the integrator, once
         model.evaluate(names, rows, design.columns)
-        each = model.seconds_per_row or 0.0
+        each = model.seconds_per_row
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"), Model(design.judged) as model:
         tables = grow(design, model, seconds=budget.time)
