@@ -287,10 +287,8 @@ def _lines(
     points = _design_points(design, count, 1, "slow line")
     values = values_at(margins, points[:, -1])
     normals = points[:, :-1]
-    physical = np.empty_like(normals)
-    for k, value in enumerate(values.tolist()):
-        joint = moved(design.study, value).inputs().only(names)
-        physical[k] = joint.physical(normals[k : k + 1])[0]
+    joints = (moved(design.study, value).inputs().only(names) for value in values.tolist())
+    physical = np.array([joint.physical(row) for joint, row in zip(joints, normals, strict=True)])
     moving = {}
     if margins.solve not in design.inputs:
         moving[margins.solve] = values

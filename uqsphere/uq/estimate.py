@@ -334,7 +334,7 @@ def quantile(
     return between(value, low, high, replicates, method, evaluations)
 
 
-def sample_reader(values: Array, weights: Array | None = None) -> Callable[[float], float]:
+def sample_reader(values: Array, weights: Values = 1.0) -> Callable[[float], float]:
     """Reads the distribution of samples of any shape at a probability, by Hazen's rule: a sample
     stands for the middle of its weight, the i-th of N equal ones at (i - 1/2)/N.
 
@@ -342,7 +342,7 @@ def sample_reader(values: Array, weights: Array | None = None) -> Callable[[floa
     2.0
     """
     order = np.argsort(values, axis=None, kind="stable")
-    ordered = values.reshape(-1)[order]
-    mass = np.ones(ordered.size) if weights is None else weights.reshape(-1)[order]
+    ordered = values.ravel()[order]
+    mass = np.broadcast_to(weights, values.shape).ravel()[order]
     middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
     return lambda p: float(np.interp(p, middles, ordered))

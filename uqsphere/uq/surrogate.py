@@ -59,13 +59,13 @@ class Prediction:
     """What an expansion says of n points.
 
     value, low, high : the value, and between which the model's answer lies, (n,) each
-    index : the index of the rows, where they have one
+    index : the index of the rows; None where they have none
     """
 
     value: Array
     low: Array
     high: Array
-    index: Any = None
+    index: Any
 
     def __iter__(self) -> Iterator[Array]:
         return iter((self.value, self.low, self.high))
@@ -100,7 +100,7 @@ def columns_of(rows: Any, names: Sequence[str]) -> Array:
             column = _series(rows[name])
             if isinstance(column, np.ma.MaskedArray):
                 raise UsageError(f"column {name!r} is masked: leave out the rows that are masked")
-            if index is not None and hasattr(column, "reindex") and not column.index.equals(index):
+            if hasattr(column, "reindex") and not column.index.equals(index):
                 column = in_order_of(column, index, f"the column {name!r}")
             columns.append(column)
         try:
