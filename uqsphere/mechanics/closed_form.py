@@ -134,7 +134,7 @@ def massless_approach(s: Values, theta: Values) -> Array:
     return np.where(s > theta, relaxing, loading)
 
 
-def _massless(scene: Scene) -> dict[str, Array]:
+def _massless(scene: Scene) -> ColumnMap:
     """A massless sphere between infinite bars, under a rectangular or step pulse.
 
     Both forces are equal and increase until the pulse ends, theory (11), then decay, theory (12),
@@ -156,8 +156,8 @@ def _massless(scene: Scene) -> dict[str, Array]:
     return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),
-        "difference": np.zeros_like(peak),
-        "contact_censored": np.ones_like(peak),
+        "difference": 0.0,
+        "contact_censored": 1.0,
         "stored": 2.0 * 0.4 * peak**2.5,
         "mean_force": peak**1.5,
         "duration": (loaded - remaining) / peak**1.5,
@@ -183,7 +183,7 @@ def _impact_table() -> Array:
         return np.loadtxt(lines, delimiter=",", skiprows=1)
 
 
-def elastic_impact(lam: Array) -> ColumnMap:
+def elastic_impact(lam: Values) -> ColumnMap:
     """Restitution, peak force, contact time and rise time at lam, (R10) to (R13); NaN above 3.
 
     Force in beta^0.4 M*^0.6 v^1.2, times in (M*²/(beta² v))^0.2.  Above 3 a plate is punched.
@@ -201,7 +201,7 @@ def _elastic(scene: Scene, ahead: Partner, force: Array) -> ColumnMap:
 
     Also `radiated`, the integral of q²: the lost energy is radiated, (1 - e²)/2 = lam times it.
     """
-    lam = np.zeros(1)
+    lam: Values = 0.0
     if ahead.kind in ("bar", "plate"):
         lam = force / (scene.scales.speed * ahead.impedance)
     at = elastic_impact(lam)
@@ -303,7 +303,7 @@ def solve_closed(
     )
 
 
-def _light(scene: Scene) -> dict[str, Array]:
+def _light(scene: Scene) -> ColumnMap:
     """Drop weight on a light sphere: contacts in series, (R15) and (R13), peaks raised by (R16)."""
     scales, (behind, ahead) = scene.scales, scene.there
     both = light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
@@ -321,7 +321,7 @@ def _light(scene: Scene) -> dict[str, Array]:
         **dict.fromkeys(("x_max", "x_a"), raised * slow_a),
         "x_b": raised * slow_b,
         **dict.fromkeys(("other_a", "other_b", "mean_force"), q),
-        "difference": np.zeros(1),
+        "difference": 0.0,
         "duration": (1.0 + at["restitution"]) / at["force"] * time,
         "stored": 0.4 * q * (slow_a + slow_b),
         "stored_sphere": 0.4 * q * (behind.share * slow_a + ahead.share * slow_b),
@@ -332,15 +332,15 @@ def _light(scene: Scene) -> dict[str, Array]:
     }
 
 
-def _over(time: Array) -> dict[str, Array]:
+def _over(time: Array) -> ColumnMap:
     """Times of an impact, which ends by itself at a time over t_c, with a single contact."""
     return {
         **dict.fromkeys(("contact", "parting", "ended"), time),
-        **dict.fromkeys(("contact_censored", "touches"), np.zeros(1)),
+        **dict.fromkeys(("contact_censored", "touches"), 0.0),
     }
 
 
-def _impact(scene: Scene) -> dict[str, Array]:
+def _impact(scene: Scene) -> ColumnMap:
     """An impact on one body in scaled variables, in the centre-of-mass frame.
 
     Elastic by (R13); plastic with the depth by (R23) and times by quadrature.
@@ -368,7 +368,7 @@ def _impact(scene: Scene) -> dict[str, Array]:
         to_scaled = face.onset_approach / scales.approach
         x = depth * to_scaled
         rising = (face.depth_at(share * state.force) for share in (0.1, 0.9))
-        low, high, first = (_loading(face, depth, start) for start in (*rising, np.zeros(1)))
+        low, high, first = (_loading(face, depth, start) for start in (*rising, 0.0))
         # unloading follows Hertz from alpha_e, and ends at the rebound speed
         up = face.recovery(depth) * to_scaled / restitution
         rest = {
@@ -377,7 +377,7 @@ def _impact(scene: Scene) -> dict[str, Array]:
             "rise": (low - high) * to_scaled,
             **_over(first * to_scaled + up * _UNLOADING),
         }
-    share = np.zeros(1)
+    share: Values = 0.0
     if ahead.kind == "mass":
         share = scales.mass / (scales.mass + ahead.mass)
     return {
@@ -394,7 +394,7 @@ def _impact(scene: Scene) -> dict[str, Array]:
 _UNLOADING = 1.4716375921624
 
 
-def _loading(face: Face, depth: Array, start: Array) -> Array:
+def _loading(face: Face, depth: Array, start: Values) -> Array:
     """Time of loading from z = start to the top z_m over alpha_y/v: the integral of dz/sqrt(1 -
     W(z)/W(z_m)).
 
@@ -417,7 +417,7 @@ def _loading(face: Face, depth: Array, start: Array) -> Array:
     return total
 
 
-def _pressed(scene: Scene) -> dict[str, Array]:
+def _pressed(scene: Scene) -> ColumnMap:
     """Slow loading in scaled variables: statics with equal forces and one contact law."""
     scales = scene.scales
     c = scene.columns
@@ -441,7 +441,7 @@ def _pressed(scene: Scene) -> dict[str, Array]:
     return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), approach / scales.approach),
         **dict.fromkeys(("other_a", "other_b", "mean_force"), force / scales.force),
-        **dict.fromkeys(("difference", "ended"), np.zeros(1)),
+        **dict.fromkeys(("difference", "ended"), 0.0),
         "stored": 2.0 * stored / (scales.force * scales.approach),
         "rise": 0.8 * force / rate / scales.time,
     }

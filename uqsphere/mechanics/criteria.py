@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from uqsphere.arrays import Array, ColumnMap, Flags, Values, frozen, quiet
+from uqsphere.arrays import Array, ColumnMap, Flags, Names, Values, frozen, quiet
 from uqsphere.mechanics import contact, stress
 from uqsphere.mechanics.inputs import declared
 from uqsphere.units import Quantity
@@ -59,16 +59,16 @@ class Criterion:
     display: str
     measures: str
     strength: str
-    needs: tuple[str, ...]
+    needs: Names
     quantity: str | None = None
-    also: tuple[str, ...] = ()
-    parameters: tuple[str, ...] = ()
-    optional: tuple[str, ...] = ()
+    also: Names = ()
+    parameters: Names = ()
+    optional: Names = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     follows: str = "force"
     place: str = ""
 
-    def needs_with(self, parameters: Parameters) -> tuple[str, ...]:
+    def needs_with(self, parameters: Parameters) -> Names:
         """Columns that the demand needs with these parameters."""
         if "rate_0" in parameters:
             return (*self.needs, "loading_rate", "P_max")

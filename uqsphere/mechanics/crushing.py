@@ -33,7 +33,7 @@ def value_at(
     rate: Array | None = None,
 ) -> Array:
     """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s]."""
-    own = {key: np.broadcast_to(np.float64(value), radius.shape) for key, value in sphere.items()}
+    own = {key: np.broadcast_to(value, radius.shape) for key, value in sphere.items()}
     modulus = contact.reduced_modulus(own["E"], own["nu"], *platens)
     beta = contact.hertz_constant(modulus, radius)
     share = modulus * (1.0 - np.square(own["nu"])) / own["E"]
@@ -98,7 +98,7 @@ def force_at(
     if not isinstance(of, str):
         # the tests were slow: without the rate effect
         of = of[0], {key: part for key, part in of[1].items() if key != "rate_0"}
-    value, radius = np.broadcast_arrays(*np.atleast_1d(np.float64(value), np.float64(radius)))
+    value, radius = np.broadcast_arrays(*np.atleast_1d(value, radius))
 
     def logarithm(x: Array) -> Array:
         return np.log(value_at(np.exp(x), of, sphere, radius, platens))

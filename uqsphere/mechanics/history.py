@@ -236,7 +236,7 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
         force = forces[pole]
         gap = gaps[pole]
         if course.forces is None or partner.face is None or not partner.face.own[row]:
-            radii[pole] = np.sqrt(partner.effective_radius[row] * np.maximum(gap, 0.0))
+            radii[pole] = contact.contact_radius(gap, partner.effective_radius[row])
             continue
         law = partner.face.at(row)
         reached = np.maximum.accumulate(force)
@@ -448,5 +448,5 @@ def view_field(history: History, *, places: int, times: int) -> FieldView:
         places=x,
         times=t,
         stress=field_grid(course, x, t).stress,
-        tensions=tuple(tension for tension in tensions if tension is not None),
+        tensions=tuple(filter(None, tensions)),
     )

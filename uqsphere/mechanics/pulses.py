@@ -79,7 +79,7 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     ratio = np.array(ratio, dtype=float, ndmin=2).T
     with np.errstate(all="ignore"):
         left = np.maximum((ratio - 1.0) / (ratio + 1.0), 0.0)
-        shares = np.where(np.arange(_MOST_STEPS) == 0, 1.0, left ** np.arange(_MOST_STEPS))
+        shares = left ** np.arange(_MOST_STEPS)
         shares = np.where(shares >= _FAINT_STEP, shares, 0.0)
         complete = left[:, 0] ** _MOST_STEPS < _FAINT_STEP
         levels = 2.0 * ratio / (1.0 + ratio) * shares
@@ -263,8 +263,9 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
     from scipy.interpolate import PPoly, generate_knots, make_lsq_spline
 
     peak = float(strain.max())
+    limit = _END_LEVEL * peak
     # the negative values before the pulse give the amplitude of the noise
-    noise = -1.5 * strain[: np.argmax(strain > _END_LEVEL * peak)].min(initial=0.0)
+    noise = -1.5 * strain[: np.argmax(strain > limit)].min(initial=0.0)
     inside = np.flatnonzero(np.abs(strain) > max(_START_LEVEL * peak, noise))
     if len(inside) < _FEWEST_SAMPLES:
         raise ValueError(
@@ -272,7 +273,6 @@ def measured_pulse(time: Array, strain: Array) -> tuple[MeasuredPulse, float]:
         )
     first = max(inside[0] - 1, 0)
     last = min(inside[-1] + 1, len(strain) - 1)
-    limit = _END_LEVEL * peak
     if -strain.min() > limit:
         raise ValueError(
             f"the strain reaches {-strain.min() / peak:.0%} of its peak in tension; cut off the "

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from uqsphere.arrays import ColumnMap, Values, frozen
+from uqsphere.arrays import ColumnMap, Names, Values, frozen
 from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
 
 #: keys of the three parameters of a contact law
@@ -62,9 +62,8 @@ def law_of(
 
 def _with_columns(columns: ColumnMap, table: str, body: ContactParameters) -> ContactParameters:
     """Contact parameters with those that a table gives."""
-    return ContactParameters(
-        *(columns.get(f"{table}.{key}", value) for key, value in zip(LAW, body, strict=True))
-    )
+    pairs = zip(LAW, body, strict=True)
+    return ContactParameters._make(columns.get(f"{table}.{key}", value) for key, value in pairs)
 
 
 #: gravity [m/s²]; drag coefficient of a sphere and density of air [kg/m³] (from memory)
@@ -134,7 +133,7 @@ class Rig:
         return 2 if self.behind else 1
 
     @property
-    def tables(self) -> tuple[str, ...]:
+    def tables(self) -> Names:
         """Tables of a study that belong to this rig."""
         of_wave = ("striker", "pulse") if self.by_wave else ()
         return tuple(dict.fromkeys(filter(None, (self.behind, self.ahead, *of_wave))))
@@ -215,8 +214,7 @@ DEFAULT_RIG = "bars"
 def drop_speed(height: Values, radius: Values, density: Values) -> Values:
     """Speed [m/s] of a sphere after a fall of h [m] in air: v² = v_t² (1 - exp(-2 g h/v_t²))."""
     terminal = terminal_speed(radius, density) ** 2
-    exponent = -2.0 * GRAVITY * height / terminal
-    return np.sqrt(-terminal * np.expm1(exponent))
+    return np.sqrt(-terminal * np.expm1(-2.0 * GRAVITY * height / terminal))
 
 
 def terminal_speed(radius: Values, density: Values) -> Values:

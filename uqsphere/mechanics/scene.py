@@ -11,6 +11,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
 from uqsphere.mechanics import bars, contact
+from uqsphere.mechanics.criteria import Demands
 from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
 from uqsphere.mechanics.inputs import INPUTS
 from uqsphere.mechanics.integrator.tracked import DOMAIN, NEVER_CLOSES, TOO_LONG_PULSE
@@ -150,7 +151,7 @@ class Scene:
     first_loading_only: bool = False
     whole_record: bool = False
     horizon: float | None = None
-    demands: Mapping[str, tuple[str, Mapping[str, float]]] = field(default_factory=dict)
+    demands: Demands = field(default_factory=dict)
     contact_law: str = "hertz"
     hardness_at_onset: bool = False
     record: MeasuredPulse | None = None
@@ -296,7 +297,7 @@ class Scene:
     @property
     def there(self) -> tuple[Partner, ...]:
         """The counter-bodies, A first."""
-        return tuple(partner for partner in self.partners if partner is not None)
+        return tuple(filter(None, self.partners))
 
     @property
     def struck(self) -> Partner:
@@ -327,11 +328,8 @@ class Scene:
     @cached_property
     def record_end(self) -> Array:
         """Latest end of the evaluation window, (n,) [s]; infinite if another rule ends it."""
-        if self.horizon is not None:
-            ends = np.full(len(self), self.horizon)
-        elif self.infinite or not self.by_wave:
-            ends = np.full(len(self), np.inf)
-        else:
+        ends = np.full(len(self), self.horizon or np.inf)
+        if self.horizon is None and self.by_wave and not self.infinite:
             ends = 8.0 * self.round_trips.max(axis=1)
         if self.first_loading_only:
             ends = np.minimum(ends, self.first_echo)
@@ -433,10 +431,8 @@ class Scene:
             inside &= allowed
         scales = self.scales
         for number in (scales.mass_number, scales.force, scales.approach, scales.time):
-            inside &= np.isfinite(number) & (number > 0.0)
-        shortest = _SHORTEST * scales.time
-        inside &= ~(scales.duration < shortest)
-        inside &= ~(self.first_echo < shortest)
+            inside &= (number > 0.0) & (number < np.inf)
+        inside &= ~(np.fmin(scales.duration, self.first_echo) < _SHORTEST * scales.time)
         for partner in self.there:
             if partner.face is not None:
                 inside &= partner.face.valid

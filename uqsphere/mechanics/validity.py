@@ -12,9 +12,9 @@ from functools import reduce
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
+from uqsphere.arrays import Array, Flags, Names, Places, Values, frozen, quiet
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import CRITERIA, Parameters, in_range, ranges_of
+from uqsphere.mechanics.criteria import CRITERIA, Demands, Parameters, in_range, ranges_of
 from uqsphere.mechanics.inputs import declared
 from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
 from uqsphere.mechanics.rigs import GRAVITY, sphere_body, terminal_speed
@@ -43,7 +43,7 @@ class Rule:
     failure: float = math.nan
     rising: bool = True
     law: str = ""
-    movers: Sequence[str] = ()
+    movers: Names = ()
     needs: str = ""
 
     @property
@@ -462,13 +462,13 @@ _SYMBOLS = {"sphere.nu": "nu", "modulus": "m"}
 
 
 def _check_ranges(measures: Measures, quantities: Collection[str]) -> list[ValidityCheck]:
-    criteria: dict[str, tuple[str, Parameters]] = {
+    ranged: Demands = {
         entry.quantity: (name, {})
         for name, entry in CRITERIA.items()
         # the range of the contact pressure is Hertz's, which has its own check
         if entry.quantity is not None and name != "contact_pressure"
     }
-    criteria |= measures.scene.demands
+    criteria = {**ranged, **measures.scene.demands}
     columns = {name: column[measures.good] for name, column in measures.items()}
     return [
         _check_range(name, *criteria[name], columns, measures.good)

@@ -75,8 +75,8 @@ def metal_body(yield_strength: Array, nu: Array) -> ContactParameters:
 def softer(one: ContactParameters, other: ContactParameters) -> ContactParameters:
     """The parameters of the body with the lower onset, row by row."""
     first = one.onset <= other.onset
-    onset, hardness, pile_up = (np.where(first, a, b) for a, b in zip(one, other, strict=True))
-    return ContactParameters(onset, hardness, pile_up)
+    pairs = zip(one, other, strict=True)
+    return ContactParameters._make(np.where(first, a, b) for a, b in pairs)
 
 
 class FirstLoading(NamedTuple):
