@@ -20,13 +20,12 @@ interval (`_beyond`).
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, Values, frozen, special
 from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
@@ -50,7 +49,7 @@ GOOD = 0.01
 TAIL_POINTS = 64
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Expansion:
     """An expansion of one quantity with what the rows that it was not fitted to say of it.
 

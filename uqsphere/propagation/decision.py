@@ -9,11 +9,11 @@ there as the study asks.
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from uqsphere.arrays import frozen
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.doubts import Aim, Alternative, Curves, Doubt
@@ -29,7 +29,7 @@ _PASSES = 20
 _CLOSE = 1e-3
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Settled(Curves):
     """Where the doubts of an aim leave the free number.
 
@@ -109,7 +109,7 @@ class Settled(Curves):
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Settling:
     """How the number of an aim is found.
 

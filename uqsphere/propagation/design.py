@@ -8,12 +8,12 @@ the same design: intervals of sampled answers follow from what the replicates di
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, frozen, special
 from uqsphere.models.scene import absent_quantity
 from uqsphere.propagation.failure_modes import (
     AssumedMode,
@@ -32,7 +32,7 @@ from uqsphere.uq.indices import Blocks
 VALUES = 25
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Design:
     """A study with the limits of all its failure modes, and the columns that they need.
 

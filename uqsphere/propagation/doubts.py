@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, Values, frozen, special
 from uqsphere.propagation.demands import strength_of
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.failure_modes import REFUTED, AssumedMode, means_fracture
@@ -41,7 +41,7 @@ from uqsphere.uq.joint import FREE
 LAWS = 400
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Aim:
     """The limits of a study that must survive, or break, with the failure modes beside them.
 
@@ -93,7 +93,7 @@ class Aim:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Alternative:
     """One thing of a limit taken otherwise.
 
@@ -107,7 +107,7 @@ class Alternative:
     laws: Sequence[Law] = ()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Doubt(Alternative):
     """An alternative with its curve along a line.
 
@@ -214,7 +214,7 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
 # --- curves ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Curves:
     """The limits of an aim along a line, alone and with the other failure modes.
 

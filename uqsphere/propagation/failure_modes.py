@@ -10,11 +10,11 @@ is a product of uniform variables.)
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, frozen
 from uqsphere.materials import Material, Property, library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.mechanics.crushing import value_at
@@ -31,7 +31,7 @@ REFUTED = 0.05
 _RANGE_DEVIATIONS = 1.959963984540054
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class AssumedMode:
     """A failure mode with a library strength: its limit, and the strength at both ends of the
     library's 95 % range.

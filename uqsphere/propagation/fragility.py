@@ -7,11 +7,11 @@ and their spread is the interval.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.propagation.design import VALUES, Design, number
@@ -123,7 +123,7 @@ def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Esti
 # --- curves without a whole run -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Curves:
     """What a study answers at values (m,) of its free number [SI].
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, Values, frozen, special
 from uqsphere.errors import StudyError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
@@ -31,7 +31,7 @@ _FEW_SHARE = 4
 _FEW = 16
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Line:
     """Rows at rising values of the free number, or at the plan alone.
 
@@ -212,7 +212,7 @@ def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
 # --- the other contact law ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class YieldingRows:
     """Rows with contacts that yield, evaluated where they are asked for."""
 

@@ -7,12 +7,12 @@ ask `source_of` for the one that a run has.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, frozen
 from uqsphere.propagation import chaos
 from uqsphere.propagation.design import Design
 from uqsphere.propagation.slow import Slow, described_rows
@@ -37,7 +37,7 @@ def source_of(design: Design, tables: Tables) -> Slow | Sampled:
     return tables.surrogate or Sampled(design=design, tables=tables)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Sampled:
     """A sample of a cheap model, with the expansions and pairs beside it."""
 

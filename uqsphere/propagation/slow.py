@@ -1,9 +1,9 @@
 """What the rows of a slow model answer, with the expansions that are fitted to them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.propagation.design import Design
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent
@@ -26,7 +26,7 @@ def described_rows(design: Design, sample: Sample, name: str, method: str) -> De
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Slow:
     """What answers the questions that `uqsphere.propagation.sampled.Sampled` answers of a cheap
     model.

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places
+from uqsphere.arrays import Array, Places, frozen
 from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
@@ -44,7 +44,7 @@ class Searched(NamedTuple):
 Indices = Mapping[str, tuple[Estimate, ...]]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Tables:
     """What was evaluated, and how accurate it is.  Tables that grow are new tables.
 

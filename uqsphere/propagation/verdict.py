@@ -5,11 +5,11 @@ it, the certificate of what the number rests on, and what to do next.
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.propagation.checks import Check, caveats_of
@@ -49,7 +49,7 @@ from uqsphere.uq.estimate import SURE, spread
 _AT_PLAN = 256
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Judged:
     """One aim, judged.
 

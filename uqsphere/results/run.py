@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, frozen
 from uqsphere.errors import UsageError
 from uqsphere.results.answers import frame_of
 from uqsphere.results.folder import read_checked, read_results
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 MOST_FITTED = 512
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@frozen(eq=False, repr=False)
 class Run:
     """A run that has ended.
 

@@ -25,12 +25,12 @@ Probabilities and quantiles have a second interval that allows for it.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, frozen
 from uqsphere.uq.chaos import projections
 from uqsphere.uq.describe import Description, heavy_tail, rising
 from uqsphere.uq.estimate import (
@@ -52,7 +52,7 @@ from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
 NODES, PLACES = 17, 2048
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Corrected:
     """The outputs of rows beside the predictions of expansions that have not seen them, and the
     predictions at many points of the law.

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, frozen, special
 from uqsphere.uq.estimate import (
     SURE,
     Estimate,
@@ -21,7 +21,7 @@ from uqsphere.uq.estimate import (
 METHOD = "common random numbers, monotone interpolation"
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Fragility:
     """Curve [[value, probability, low, high], ...] along the grid, and the values by
     probability.

@@ -9,12 +9,12 @@ cancellation, whatever the offset of the quantity.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, Flags, Values, special
+from uqsphere.arrays import Array, Cells, Flags, Values, frozen, special
 from uqsphere.uq.estimate import (
     CELL,
     LEFT_OUT,
@@ -39,7 +39,7 @@ LEAST_BEYOND = 5
 DOMINANT, CONVERGES = 0.4, 1000
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Description:
     """What a sample of one quantity says.
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, special
+from uqsphere.arrays import Array, Flags, Values, frozen, special
 
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
@@ -36,7 +36,7 @@ SHARE = "share of the samples"
 FEW_REPLICATES = "an interval needs at least two independent replicates"
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Estimate:
     """A number with its 95 % interval; where there is none, `value` is None and `reason` says why.
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uqsphere.arrays import frozen
 from uqsphere.uq import forms
 from uqsphere.uq.forms import Form, LawError, Placed
 
@@ -48,7 +49,7 @@ _POSITIVE = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Family:
     """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are
     the law's own.

@@ -16,13 +16,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags, frozen, special
 from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.families import DRAWN, FAMILIES, Keys
 from uqsphere.uq.forms import (
@@ -56,7 +56,7 @@ MANY = 300
 # --- laws with a location and a scale -------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class LocationScale:
     """A family whose u(x) has a location m and a scale s."""
 
@@ -208,7 +208,7 @@ def _at_risk(leaving: Array) -> Array:
 # --- tests ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class StrengthTests:
     """Different values (k,) of tests in rising order, and how many failed or were stopped at each
     (k,).
@@ -312,7 +312,7 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
 # --- the fit --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class StrengthFit:
     """A law fitted to tests by the largest likelihood.
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, frozen, special
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -53,7 +53,7 @@ def no_density(y: Array) -> Array:
     raise LawError("a step function has no density", "fit")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Form:
     """A law in standard form."""
 

@@ -14,12 +14,11 @@ freedom are those of the replicates and of the points that carry the answer
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Values, frozen
 from uqsphere.uq.estimate import (
     Estimate,
     absent,
@@ -44,7 +43,7 @@ ROUNDING = 1e-15
 Ratio = tuple[Array, Array]
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Blocks:
     """The blocks of a design: A, AB_1 ... AB_d, BA_1 ... BA_d (`second`), B.
 
@@ -154,7 +153,7 @@ def second_order(a: Array, b: Array, ab: Array, ba: Array) -> Ratio:
 # --- indices of a design --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class SampledIndices:
     """Indices of one output: `first` and `total` in the order of the inputs, `second` by the pair
     (i, j), i < j.

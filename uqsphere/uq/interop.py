@@ -7,12 +7,11 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, frozen, special
 from uqsphere.errors import UsageError
 from uqsphere.uq.estimate import Estimate, absent, from_replicates
 from uqsphere.uq.foreign import SALIB
@@ -92,7 +91,7 @@ def _law_to_chaospy(chaospy: Any, law: Law) -> Distribution:
 # --- SALib ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class SalibDesign:
     """A problem of SALib with rows (N (d + 2), d), or (N (2 d + 2), d) for pairs, in the order of
     its Sobol' analysis.

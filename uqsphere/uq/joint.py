@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import chain, combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, frozen, special
 from uqsphere.uq.forms import CERTAIN, GAUSS, LawError, student_t
 from uqsphere.uq.law import Law
 from uqsphere.uq.points import sobol_points
@@ -33,7 +32,7 @@ _SMALLEST = 1e-10
 # --- one copula -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Copula:
     """The Gaussian copula with the correlation (size, size) of its scores, or Student's t with
     `dof` of freedom.
@@ -115,7 +114,7 @@ def _score(variate: Array, dof: float) -> Array:
     return np.clip(GAUSS.quantile(*student_t(dof).tails(variate)), -CERTAIN, CERTAIN)
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Dependence:
     """One rank correlation, Spearman's or Kendall's, for every pair of the names; `dof` of a
     Student t copula.
@@ -193,7 +192,7 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
 # --- several inputs -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Tie:
     """An input that is not drawn: the last member of `copula`, given the normal `scores` (..., size
     - 1) of others, which are these columns of the inputs that are drawn; there may be none."""
@@ -222,7 +221,7 @@ class Tie:
 FREE = Tie(copula=Copula(correlation=np.eye(1)), scores=np.empty(0), columns=())
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Joint:
     """Named laws in a fixed order, and what ties them: columns with their copula; all that Gaussian
     copulas tie are one block.

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.uq.families import FAMILIES, Family, family_named
 from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density, truncated
 
@@ -23,7 +23,7 @@ from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_
 _MOST_STEPS = 10_000
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Law:
     """A probability law in SI: a member of a family, between the bounds where it is in force.
 

@@ -9,14 +9,14 @@ on either side.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Flags, Places, special
+from uqsphere.arrays import Array, Flags, Places, frozen, special
 from uqsphere.uq.describe import quantile_estimates
 from uqsphere.uq.estimate import (
     Estimate,
@@ -34,7 +34,7 @@ from uqsphere.uq.joint import FREE, Tie
 from uqsphere.uq.law import Law, make_law
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
@@ -282,7 +282,7 @@ def _root(
 # 1998, Keane 1994): unbiased, and for independent strengths the product itself.
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Union:
     """L limits at the same (R, n) samples.
 
@@ -377,7 +377,7 @@ def union_state(union: Union) -> LimitState:
 # --- samples in which something breaks ------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Breaking:
     """m samples of each replicate in which a limit is exceeded, drawn with their strengths.
 

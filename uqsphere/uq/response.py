@@ -18,12 +18,12 @@ no more is left of the variance; it may be more where no coefficients could be t
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places
+from uqsphere.arrays import Array, Places, frozen
 from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.chaos.basis import score_of
@@ -58,7 +58,7 @@ def unseen(runs: int) -> str:
     return f"an event rarer than about {count_bound(runs):.2g} (3 in {runs} runs) is not in it"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Fold:
     """The expansion that was fitted without one fold of the rows.
 
@@ -77,7 +77,7 @@ class Fold:
         return predict(self.fit, points)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Response:
     """Expansions of the folds of n rows, and what each row differs from the one that was fitted
     without it.

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, Cells, Flags
+from uqsphere.arrays import Array, Cells, Flags, frozen
 
 _ROWS = ("scores", "inputs", "answers", "censored", "status", "failed")
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Sample:
     """R replicates of n rows, each an independent randomisation of the same design; without scatter
     R = n = 1.

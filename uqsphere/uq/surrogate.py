@@ -18,14 +18,14 @@ import json
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, is_labelled
+from uqsphere.arrays import Array, Flags, frozen, is_labelled
 from uqsphere.errors import UsageError
 from uqsphere.uq.chaos import (
     Chaos,
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Prediction:
     """What an expansion says of n points.
 
@@ -194,7 +194,7 @@ def _with_few_values(law: Law) -> Law:
     return replace(law, parameters={**law.parameters, "bandwidth": 0.0})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Expansion:
     """The polynomial chaos of one output.
 

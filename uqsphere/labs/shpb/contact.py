@@ -15,7 +15,7 @@ from pydantic import Field
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
 from uqsphere.labs.shpb.recorder import read_recorded
@@ -79,7 +79,7 @@ class Fitted:
         return f"{self.value * 1e-9:.4g} GPa", ends
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class ContactFit:
     """The law of the faces.
 

@@ -16,14 +16,14 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Flags, Places, Values
+from uqsphere.arrays import Array, Flags, Places, Values, frozen
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.compiled import without_collection
@@ -53,7 +53,7 @@ _CAPACITIES = (1024, *(16_384 << k for k in range(5)))
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL, _LOCAL_YIELDED = 0.25, 0.05, 0.1, 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Motion:
     """One integrated scene: what anything between first touch and the end of the motion can be
     computed from.
@@ -253,7 +253,7 @@ def _poles(scene: Scene, rows: Places) -> Array:
     return poles
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Scaled:
     """Scaled answers (n,) of the type `tracked.ANSWER`, status (n,) and steps (n,) of n rows.
 

@@ -10,14 +10,13 @@ the same points.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, special
+from uqsphere.arrays import Array, Places, Values, frozen, special
 from uqsphere.uq.families import FAMILIES, Family
 from uqsphere.uq.law import Law
 
@@ -30,7 +29,7 @@ MOST_STEPS = HIGHEST_DEGREE + 1
 REACH, KNOTS = 12.0, 2401
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Germ:
     """A germ with a law of its own, at points of the base "normal" or "uniform".
 

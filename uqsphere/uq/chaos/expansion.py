@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, special
+from uqsphere.arrays import Array, Flags, Places, frozen, special
 from uqsphere.uq.chaos.basis import (
     Germ,
     GermLike,
@@ -57,7 +56,7 @@ class ChaospyObjects(NamedTuple):
     of_logarithm: bool
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class Chaos:
     """A fitted expansion.
 
@@ -208,7 +207,7 @@ def predict(fit: Chaos, points: Array) -> Array:
 # --- moments and indices --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen
 class Integrals:
     """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the
     indices, `moment_errors` those of the mean and of the variance.

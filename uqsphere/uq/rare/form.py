@@ -8,12 +8,11 @@ central differences over a step that is wide enough to see across kinks.
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, frozen
 from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
 #: step of the central differences, and the distance below which two design points are one, in
@@ -21,7 +20,7 @@ from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 STEP, SAME = 0.03, 0.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class DesignPoint:
     """A design point (size,) in (augmented) standard normal space.
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, special
+from uqsphere.arrays import Array, Cells, frozen, special
 from uqsphere.uq.describe import hill
 from uqsphere.uq.estimate import (
     REPLICATES,
@@ -292,7 +292,7 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
 # --- the answer -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@frozen(eq=False)
 class ImportanceAnswer:
     """An estimate with the share of its largest weight; it is trusted where no few weights decide,
     and their variance is finite: the order of their tail by Hill's rule is above 2 (of 720 thin
