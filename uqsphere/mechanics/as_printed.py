@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Values, frozen
-from uqsphere.mechanics.closed_form import massless_approach, solve_closed
-from uqsphere.mechanics.integrator.solve import motion, solve
-from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers
-from uqsphere.mechanics.scene import STATUS, STRIKER_COLUMNS, Scene
 from uqsphere.units import UNITS
+
+from .closed_form import massless_approach, solve_closed
+from .integrator.solve import motion, solve
+from .outputs import OUTPUTS, SceneAnswers
+from .scene import STATUS, STRIKER_COLUMNS, Scene
 
 #: the value of (3.8); the integral it stands for diverges
 DURATION_FACTOR = 6.715

@@ -21,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Values, quiet
-from uqsphere.mechanics.roots import bisect
+
+from .roots import bisect
 
 #: velocity reflection coefficient of a far end
 END_COEFFICIENTS = {"free": 1.0, "absorbing": 0.0, "fixed": -1.0}

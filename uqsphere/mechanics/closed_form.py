@@ -20,13 +20,14 @@ from numpy.polynomial.chebyshev import chebval
 from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, ColumnMap, Values, quiet
-from uqsphere.mechanics import contact
-from uqsphere.mechanics.integrator.tracked import TAIL_SHARE
-from uqsphere.mechanics.outputs import SceneAnswers, answers_from, merged_answers
-from uqsphere.mechanics.rigs import LARGEST_LAM
-from uqsphere.mechanics.roots import newton
-from uqsphere.mechanics.scene import Partner, Scene
-from uqsphere.mechanics.yielding import Face
+
+from . import contact
+from .integrator.tracked import TAIL_SHARE
+from .outputs import SceneAnswers, answers_from, merged_answers
+from .rigs import LARGEST_LAM
+from .roots import newton
+from .scene import Partner, Scene
+from .yielding import Face
 
 #: approach and time below which the logarithms of (11) cancel and its series in x^(3/2) is the
 #: better way, and its terms: the next one is 0.1^(1.5 13)/20.5, below the rounding of a double

@@ -17,9 +17,10 @@ from types import MappingProxyType
 import numpy as np
 
 from uqsphere.arrays import Array, ColumnMap, Flags, Names, Values, frozen, quiet
-from uqsphere.mechanics import contact, stress
-from uqsphere.mechanics.inputs import declared
 from uqsphere.units import Quantity
+
+from . import contact, stress
+from .inputs import declared
 
 Parameters = Mapping[str, float]
 #: further quantities: name -> criterion and its parameters

@@ -15,10 +15,11 @@ from typing import TypeAlias
 import numpy as np
 
 from uqsphere.arrays import Array, ColumnMap, Values, quiet
-from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import CRITERIA, Parameters, demand
-from uqsphere.mechanics.outputs import Columns, pressures_of
-from uqsphere.mechanics.yielding import Face
+
+from . import contact
+from .criteria import CRITERIA, Parameters, demand
+from .outputs import Columns, pressures_of
+from .yielding import Face
 
 #: a quantity, or a criterion with its parameters
 Demand: TypeAlias = str | tuple[str, Parameters]

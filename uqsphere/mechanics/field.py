@@ -12,8 +12,9 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Values
-from uqsphere.mechanics.integrator.solve import Motion
-from uqsphere.mechanics.pulses import pulse_value
+
+from .integrator.solve import Motion
+from .pulses import pulse_value
 
 #: the bars by name, in the order of every pair of numbers
 BARS = ("incident", "receiving")

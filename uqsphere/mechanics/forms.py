@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from uqsphere.mechanics.rigs import RIGS
+from .rigs import RIGS
 
 _STRUCK = {
     "thick": "E nu; density",

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Places, Values, quiet
-from uqsphere.mechanics.criteria import CRITERIA, Demands, Parameters, demand
-from uqsphere.mechanics.integrator.solve import Motion, motions
-from uqsphere.mechanics.integrator.tracked import ORDER, TERMS
-from uqsphere.mechanics.outputs import OUTPUTS, Columns, columns_of, pressures_of
-from uqsphere.mechanics.roots import bisect
-from uqsphere.mechanics.scene import Scene
+
+from .criteria import CRITERIA, Demands, Parameters, demand
+from .integrator.solve import Motion, motions
+from .integrator.tracked import ORDER, TERMS
+from .outputs import OUTPUTS, Columns, columns_of, pressures_of
+from .roots import bisect
+from .scene import Scene
 
 #: halvings that refine a crossing within a part of a step, to 2^-49 of the step
 _HALVINGS = 45

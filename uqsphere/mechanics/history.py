@@ -15,8 +15,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Values, frozen, quiet
 from uqsphere.errors import UsageError
-from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.field import (
+
+from . import bars, contact
+from .field import (
     BARS,
     GaugeRecord,
     Tension,
@@ -27,10 +28,10 @@ from uqsphere.mechanics.field import (
     leaving,
     with_jumps,
 )
-from uqsphere.mechanics.integrator.solve import Motion, motion, solve
-from uqsphere.mechanics.integrator.tracked import ORDER
-from uqsphere.mechanics.roots import bisect
-from uqsphere.mechanics.scene import Scene
+from .integrator.solve import Motion, motion, solve
+from .integrator.tracked import ORDER
+from .roots import bisect
+from .scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, ColumnMap, Flags, Places, Values, frozen, quiet
-from uqsphere.mechanics import contact
-from uqsphere.mechanics.criteria import CRITERIA, DEMANDS, Demands, demand
-from uqsphere.mechanics.inputs import declared
-from uqsphere.mechanics.integrator.tracked import DOMAIN, NOT_FINITE, WISHES
-from uqsphere.mechanics.rigs import wave_loss
-from uqsphere.mechanics.scene import Partner, Scene, answered
-from uqsphere.mechanics.yielding import Press
 from uqsphere.units import Quantity
+
+from . import contact
+from .criteria import CRITERIA, DEMANDS, Demands, demand
+from .inputs import declared
+from .integrator.tracked import DOMAIN, NOT_FINITE, WISHES
+from .rigs import wave_loss
+from .scene import Partner, Scene, answered
+from .yielding import Press
 
 #: scale factors of a scene that formulas read in addition to its columns
 _SCALES = (

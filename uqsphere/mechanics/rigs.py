@@ -15,7 +15,8 @@ from typing import Literal
 import numpy as np
 
 from uqsphere.arrays import ColumnMap, Names, Values, frozen
-from uqsphere.mechanics.yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
+
+from .yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
 
 #: keys of the three parameters of a contact law
 LAW = ("onset_pressure", "hardness", "pile_up")

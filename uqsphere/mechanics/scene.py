@@ -10,13 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
-from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import Demands
-from uqsphere.mechanics.forms import FORMS, kinds_of, needs_of
-from uqsphere.mechanics.inputs import INPUTS
-from uqsphere.mechanics.integrator.tracked import DOMAIN, NEVER_CLOSES, TOO_LONG_PULSE
-from uqsphere.mechanics.pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
-from uqsphere.mechanics.rigs import (
+
+from . import bars, contact
+from .criteria import Demands
+from .forms import FORMS, kinds_of, needs_of
+from .inputs import INPUTS
+from .integrator.tracked import DOMAIN, NEVER_CLOSES, TOO_LONG_PULSE
+from .pulses import SHAPES, STRIKER_SHAPES, MeasuredPulse, Pulse, build_pulse
+from .rigs import (
     DEFAULT_RIG,
     GRAVITY,
     LARGEST_LAM,
@@ -30,7 +31,7 @@ from uqsphere.mechanics.rigs import (
     plate_impedance,
     sphere_body,
 )
-from uqsphere.mechanics.yielding import ContactParameters, Face
+from .yielding import ContactParameters, Face
 
 #: what the status of a row means; only rows with status 0 have values
 STATUS = {

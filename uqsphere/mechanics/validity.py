@@ -13,13 +13,14 @@ from functools import reduce
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Names, Places, Values, frozen, quiet
-from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.criteria import CRITERIA, Demands, Parameters, in_range, ranges_of
-from uqsphere.mechanics.inputs import declared
-from uqsphere.mechanics.outputs import SceneAnswers, loss_to_waves
-from uqsphere.mechanics.rigs import GRAVITY, sphere_body, terminal_speed
-from uqsphere.mechanics.scene import Scene, answered
-from uqsphere.mechanics.yielding import ContactParameters, Face, softer
+
+from . import bars, contact
+from .criteria import CRITERIA, Demands, Parameters, in_range, ranges_of
+from .inputs import declared
+from .outputs import SceneAnswers, loss_to_waves
+from .rigs import GRAVITY, sphere_body, terminal_speed
+from .scene import Scene, answered
+from .yielding import ContactParameters, Face, softer
 
 #: residual indentation [m] beyond which a lapped flat needs lapping again
 _RELAP = 1e-6

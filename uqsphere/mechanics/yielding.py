@@ -24,7 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
-from uqsphere.mechanics.roots import newton
+
+from .roots import newton
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel; the
 #: rest is 0.1^16/18 of the first term

@@ -12,12 +12,13 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.errors import ModelError, tell
-from uqsphere.models.cache import Cache
-from uqsphere.models.rows import Died, NoAnswer, where_of
-from uqsphere.models.workers import Timed, result
+
+from .cache import Cache
+from .rows import Died, NoAnswer, where_of
+from .workers import Timed, result
 
 if TYPE_CHECKING:
-    from uqsphere.models.model import Model
+    from .model import Model
 
 #: most rows of one call, and calls that the rows of a slow black box are split into
 LARGEST_CALL = 16_384

@@ -10,12 +10,13 @@ import numpy as np
 
 from uqsphere.arrays import Names
 from uqsphere.errors import UsageError
-from uqsphere.models.black_box import BlackBox
-from uqsphere.models.model import Model
-from uqsphere.models.scene import checked_rows
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
 from uqsphere.uq.surrogate import columns_of, index_of
+
+from .black_box import BlackBox
+from .model import Model
+from .scene import checked_rows
 
 if TYPE_CHECKING:
     import pandas as pd

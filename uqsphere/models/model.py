@@ -13,15 +13,16 @@ import numpy as np
 
 from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError, as_text, tell
-from uqsphere.models.black_box import BlackBox, identity_of, read_model
-from uqsphere.models.cache import Cache
-from uqsphere.models.dispatch import LARGEST_CALL, answer_rows
-from uqsphere.models.rows import FAILED, EvaluatedRows, Interrupted, where_of
-from uqsphere.models.scene import evaluate_scene
-from uqsphere.models.workers import Workers
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
 from uqsphere.uq.rows import LARGEST
+
+from .black_box import BlackBox, identity_of, read_model
+from .cache import Cache
+from .dispatch import LARGEST_CALL, answer_rows
+from .rows import FAILED, EvaluatedRows, Interrupted, where_of
+from .scene import evaluate_scene
+from .workers import Workers
 
 #: seconds of work that are worth starting processes for
 _WORTH = 2.0

@@ -19,10 +19,11 @@ from uqsphere.mechanics.outputs import SceneAnswers, absent_in, merged_answers
 from uqsphere.mechanics.rigs import law_of
 from uqsphere.mechanics.scene import STATUS, Scene, answered
 from uqsphere.mechanics.validity import ValidityCheck, check_validity
-from uqsphere.models.rows import EvaluatedRows, where_of
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
 from uqsphere.study.study import scene_with
+
+from .rows import EvaluatedRows, where_of
 
 
 def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:

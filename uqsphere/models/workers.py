@@ -26,8 +26,9 @@ from uqsphere.errors import (
     UsageError,
     as_text,
 )
-from uqsphere.models.black_box import ModelFile, call_black_box, describe_error
-from uqsphere.models.rows import Died, NoAnswer
+
+from .black_box import ModelFile, call_black_box, describe_error
+from .rows import Died, NoAnswer
 
 #: a black box, its inputs and its outputs
 Task: TypeAlias = tuple[Any, Names, Names]

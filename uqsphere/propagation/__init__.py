@@ -19,24 +19,25 @@ from typing import Any
 from uqsphere.errors import FolderError, UqsphereError, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
-from uqsphere.propagation import surrogate
-from uqsphere.propagation.checks import checks
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.fragility import fragility
-from uqsphere.propagation.grow import grow, pair_rows
-from uqsphere.propagation.limits import drivers, fracture, limits
-from uqsphere.propagation.progress import Progress, watched
-from uqsphere.propagation.quantities import distributions, indices, salib_indices
-from uqsphere.propagation.rare import design_points
-from uqsphere.propagation.tables import Tables
-from uqsphere.propagation.verdict import assumed_answers, decision_of, judge
-from uqsphere.propagation.write import Cost, results_of, samples_of, write_run
 from uqsphere.results import Run
 from uqsphere.results.answers import number_row
 from uqsphere.results.folder import clear, locked, read_results, write_log
 from uqsphere.results.run import stored_study
 from uqsphere.results.types import Answer
 from uqsphere.study import Study
+
+from . import surrogate
+from .checks import checks
+from .design import Design
+from .fragility import fragility
+from .grow import grow, pair_rows
+from .limits import drivers, fracture, limits
+from .progress import Progress, watched
+from .quantities import distributions, indices, salib_indices
+from .rare import design_points
+from .tables import Tables
+from .verdict import assumed_answers, decision_of, judge
+from .write import Cost, results_of, samples_of, write_run
 
 __all__ = ["run"]
 

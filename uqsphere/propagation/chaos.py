@@ -26,13 +26,14 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, Values, frozen, special
-from uqsphere.propagation.design import Design
 from uqsphere.uq import Sample
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import spread, student
 from uqsphere.uq.response import REJECTED
+
+from .design import Design
 
 #: rows that an expansion is fitted to at most: more buy nothing on outputs with kinks, and smooth
 #: ones need fewer

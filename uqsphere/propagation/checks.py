@@ -9,12 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
-from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.limits import failure_given_inputs
-from uqsphere.propagation.line import Line, YieldingRows, inputs_at, plan_of
-from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import Caveat, CheckEntry, Grade
 from uqsphere.study import Limit, strength_name
@@ -22,6 +16,13 @@ from uqsphere.study.values import FARTHEST_SIZE
 from uqsphere.uq import Law
 from uqsphere.uq.describe import heavy_tail
 from uqsphere.uq.estimate import count_bound
+
+from .decision import Settled
+from .design import Design
+from .limits import failure_given_inputs
+from .line import Line, YieldingRows, inputs_at, plan_of
+from .sampled import source_of
+from .tables import Tables
 
 #: rows that are checked
 ROWS = 512

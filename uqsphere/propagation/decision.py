@@ -16,9 +16,10 @@ import numpy as np
 from uqsphere.arrays import frozen
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation.doubts import Aim, Alternative, Curves, Doubt
-from uqsphere.propagation.line import Line, YieldingRows, refined
 from uqsphere.uq import student
+
+from .doubts import Aim, Alternative, Curves, Doubt
+from .line import Line, YieldingRows, refined
 
 #: points of a replicate near the number to use, at first and at most
 _FIRST = 64

@@ -14,10 +14,11 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
-from uqsphere.propagation.design import Design, by_force, number
 from uqsphere.study import Limit
 from uqsphere.uq import Law, Sample
 from uqsphere.uq.fitting import count_tests, is_fitted
+
+from .design import Design, by_force, number
 
 #: numbers of the sphere that the force in a test depends on
 SPHERE = ("sphere.E", "sphere.nu", "sphere.density")

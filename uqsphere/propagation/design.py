@@ -15,18 +15,14 @@ import numpy as np
 
 from uqsphere.arrays import Array, frozen, special
 from uqsphere.models.scene import absent_quantity
-from uqsphere.propagation.failure_modes import (
-    AssumedMode,
-    failure_modes_of,
-    judged_by_tests,
-    means_fracture,
-)
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
 from uqsphere.uq.chaos import GermLike, germs_of
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.indices import Blocks
+
+from .failure_modes import AssumedMode, failure_modes_of, judged_by_tests, means_fracture
 
 #: values of the free number
 VALUES = 25

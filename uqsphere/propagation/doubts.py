@@ -17,10 +17,6 @@ from functools import cached_property
 import numpy as np
 
 from uqsphere.arrays import Array, Values, frozen, special
-from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.failure_modes import REFUTED, AssumedMode, means_fracture
-from uqsphere.propagation.line import Line, score
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
@@ -36,6 +32,11 @@ from uqsphere.uq.fitting import (
     series_behind,
 )
 from uqsphere.uq.joint import FREE
+
+from .demands import strength_of
+from .design import Design
+from .failure_modes import REFUTED, AssumedMode, means_fracture
+from .line import Line, score
 
 #: strengths that tests allow
 LAWS = 400

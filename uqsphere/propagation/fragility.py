@@ -14,11 +14,6 @@ import numpy as np
 from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
-from uqsphere.propagation.design import VALUES, Design, number
-from uqsphere.propagation.free_number import demand_factor, grid
-from uqsphere.propagation.limits import failure_given_inputs, state_of
-from uqsphere.propagation.line import evaluated_at
-from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, Study
@@ -26,6 +21,12 @@ from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 from uqsphere.uq.estimate import REPLICATES
+
+from .design import VALUES, Design, number
+from .free_number import demand_factor, grid
+from .limits import failure_given_inputs, state_of
+from .line import evaluated_at
+from .tables import Tables
 
 METHOD = "the same points at every value"
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.arrays import Values
-from uqsphere.propagation.design import number
 from uqsphere.quantities import INPUTS
 from uqsphere.study import NOTABLE, Limit, Margins, Study
+
+from .design import number
 
 
 def values_at(margins: Margins, shares: Values) -> Values:

@@ -17,22 +17,23 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation import rare
-from uqsphere.propagation.chaos import expansions
-from uqsphere.propagation.design import VALUES, Design, is_strength, normal_scores
-from uqsphere.propagation.fragility import margin_and_scale
-from uqsphere.propagation.free_number import grid, shares_of, values_at
-from uqsphere.propagation.limits import failure
-from uqsphere.propagation.line import evaluated_at
-from uqsphere.propagation.progress import Progress
-from uqsphere.propagation.quantities import described, of_quantity
-from uqsphere.propagation.sampled import by_chaos_accurate
-from uqsphere.propagation.tables import Accuracy, Tables, check_failures, evaluate
 from uqsphere.results.types import Stop
 from uqsphere.study import Study
 from uqsphere.uq import Sample
 from uqsphere.uq.estimate import REPLICATES, count_bound
 from uqsphere.uq.indices import base_points
+
+from . import rare
+from .chaos import expansions
+from .design import VALUES, Design, is_strength, normal_scores
+from .fragility import margin_and_scale
+from .free_number import grid, shares_of, values_at
+from .limits import failure
+from .line import evaluated_at
+from .progress import Progress
+from .quantities import described, of_quantity
+from .sampled import by_chaos_accurate
+from .tables import Accuracy, Tables, check_failures, evaluate
 
 #: points of a replicate at first
 FIRST = 256

@@ -13,10 +13,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.models.scene import fractures_of
-from uqsphere.propagation.demands import column_of, demands_of, strength_of
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.tables import Tables, input_rows
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, limit_of, strength_name
 from uqsphere.uq import (
@@ -41,6 +37,11 @@ from uqsphere.uq.limit_state import (
     union_state,
     weighted_quantile,
 )
+
+from .demands import column_of, demands_of, strength_of
+from .design import Design
+from .sampled import source_of
+from .tables import Tables, input_rows
 
 #: points of a replicate that the drivers rest on at most, and the step of a score for derivatives
 MOST_POINTS, STEP = 2048, 1e-3

@@ -17,12 +17,13 @@ from uqsphere.arrays import Array, Values, frozen, special
 from uqsphere.errors import StudyError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
-from uqsphere.propagation.design import VALUES, Design
-from uqsphere.propagation.free_number import demand_factor, grid, moved
-from uqsphere.propagation.limits import state_of
-from uqsphere.propagation.tables import Tables, answered, evaluate, input_rows
 from uqsphere.study import Limit, load_study
 from uqsphere.uq import LimitState, Sample, tails
+
+from .design import VALUES, Design
+from .free_number import demand_factor, grid, moved
+from .limits import state_of
+from .tables import Tables, answered, evaluate, input_rows
 
 #: points of a replicate, where every value of the free number has the same rows
 _SHARED = 1024

@@ -14,10 +14,16 @@ from functools import lru_cache, partial
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
-from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.demands import strength_of
-from uqsphere.propagation.doubts import LAWS, Curves, tests_behind
-from uqsphere.propagation.failure_modes import (
+from uqsphere.results.types import TestsGain
+from uqsphere.study import Limit
+from uqsphere.uq import Law, make_law
+from uqsphere.uq.estimate import ENDS
+from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
+
+from .decision import Settled
+from .demands import strength_of
+from .doubts import LAWS, Curves, tests_behind
+from .failure_modes import (
     REFUTED,
     AssumedMode,
     demands_in_tests,
@@ -26,12 +32,7 @@ from uqsphere.propagation.failure_modes import (
     median,
     scaled_strength,
 )
-from uqsphere.propagation.line import score
-from uqsphere.results.types import TestsGain
-from uqsphere.study import Limit
-from uqsphere.uq import Law, make_law
-from uqsphere.uq.estimate import ENDS
-from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
+from .line import score
 
 #: numbers of tests that are told
 SIZES = (10, 25, 50, 100, 200)

@@ -9,12 +9,13 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.models.model import Model
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.sampled import METHOD, source_of
-from uqsphere.propagation.tables import Indices, Tables
 from uqsphere.results.answers import Rows, estimate_row
 from uqsphere.uq import absent
 from uqsphere.uq.describe import Description
+
+from .design import Design
+from .sampled import METHOD, source_of
+from .tables import Indices, Tables
 
 
 def distributions(design: Design, tables: Tables) -> Rows:

@@ -17,17 +17,18 @@ from uqsphere.arrays import Array
 from uqsphere.errors import ModelError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation.chaos import MOST_LEFT, values_at
-from uqsphere.propagation.demands import strength_of, with_test_forces
-from uqsphere.propagation.design import Design, at_normals, by_force, is_strength, number
-from uqsphere.propagation.limits import failure, sign_of, state_of
-from uqsphere.propagation.tables import Searched, Tables, evaluate
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of, tails
 from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
+
+from .chaos import MOST_LEFT, values_at
+from .demands import strength_of, with_test_forces
+from .design import Design, at_normals, by_force, is_strength, number
+from .limits import failure, sign_of, state_of
+from .tables import Searched, Tables, evaluate
 
 #: a probability below this is searched for where sampling does not reach it
 SMALL = 0.01

@@ -13,15 +13,16 @@ from itertools import chain, combinations
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, frozen
-from uqsphere.propagation import chaos
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.slow import Slow, described_rows
-from uqsphere.propagation.tables import Indices, Tables
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent, exact, from_replicates
 from uqsphere.uq.describe import Description, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, count_bound, ratio_of_means
 from uqsphere.uq.indices import sampled_indices
+
+from . import chaos
+from .design import Design
+from .slow import Slow, described_rows
+from .tables import Indices, Tables
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,
 #: and at most: a sample of so many needs no control

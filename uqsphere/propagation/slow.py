@@ -4,13 +4,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from uqsphere.arrays import Array, frozen
-from uqsphere.propagation.design import Design
 from uqsphere.results.types import IndexMethod
 from uqsphere.uq import Estimate, Sample, absent
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe
 from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.response import Response, unseen
+
+from .design import Design
 
 ROUGH = "runs of the model"
 

@@ -18,20 +18,21 @@ from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation.chaos import points_of
-from uqsphere.propagation.design import VALUES, Design, at_normals, normal_scores
-from uqsphere.propagation.fragility import margin_and_scale
-from uqsphere.propagation.free_number import grid, moved, shares_of, values_at
-from uqsphere.propagation.grow import accuracies, first_rows
-from uqsphere.propagation.limits import failure
-from uqsphere.propagation.progress import Progress
-from uqsphere.propagation.slow import Slow
-from uqsphere.propagation.tables import Tables, check_failures, check_sizes, evaluate, input_rows
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
 from uqsphere.uq.response import FOLDS, Response, cross_fit
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
+
+from .chaos import points_of
+from .design import VALUES, Design, at_normals, normal_scores
+from .fragility import margin_and_scale
+from .free_number import grid, moved, shares_of, values_at
+from .grow import accuracies, first_rows
+from .limits import failure
+from .progress import Progress
+from .slow import Slow
+from .tables import Tables, check_failures, check_sizes, evaluate, input_rows
 
 #: rows that measure what the model costs, and rows of a design at most and at least
 PROBE, MOST_ROWS, LEAST_ROWS = 8, 1024, 16

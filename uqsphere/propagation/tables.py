@@ -11,15 +11,16 @@ from uqsphere.arrays import Array, Places, frozen
 from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
-from uqsphere.propagation.chaos import Expansion
-from uqsphere.propagation.demands import with_test_forces
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.slow import Slow
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import Stop
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.describe import Description
 from uqsphere.uq.rows import too_small
+
+from .chaos import Expansion
+from .demands import with_test_forces
+from .design import Design
+from .slow import Slow
 
 
 class Accuracy(NamedTuple):

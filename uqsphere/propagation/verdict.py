@@ -12,17 +12,6 @@ import numpy as np
 from uqsphere.arrays import Array, frozen
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.propagation.checks import Check, caveats_of
-from uqsphere.propagation.decision import Settled, Settling
-from uqsphere.propagation.demands import number_of_tests, strength_of
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.doubts import Aim, Curves, Doubt, alternatives
-from uqsphere.propagation.failure_modes import means_fracture
-from uqsphere.propagation.fragility import planned_value
-from uqsphere.propagation.limits import failure
-from uqsphere.propagation.line import line_of, plan_of, refined, yielding_rows
-from uqsphere.propagation.promise import gains_of
-from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import lookup
 from uqsphere.results import types
 from uqsphere.results.answers import Rows, number_row
@@ -44,6 +33,18 @@ from uqsphere.results.types import (
 from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
+
+from .checks import Check, caveats_of
+from .decision import Settled, Settling
+from .demands import number_of_tests, strength_of
+from .design import Design
+from .doubts import Aim, Curves, Doubt, alternatives
+from .failure_modes import means_fracture
+from .fragility import planned_value
+from .limits import failure
+from .line import line_of, plan_of, refined, yielding_rows
+from .promise import gains_of
+from .tables import Tables
 
 #: points of a replicate that doubts are asked on at the plan
 _AT_PLAN = 256

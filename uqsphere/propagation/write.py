@@ -16,15 +16,6 @@ from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.scene import onset_of, paper_lines
-from uqsphere.propagation.checks import Check
-from uqsphere.propagation.demands import demands_of, number_of_tests, strength_of
-from uqsphere.propagation.design import Design
-from uqsphere.propagation.failure_modes import breaks_by, means_fracture
-from uqsphere.propagation.fragility import planned_value
-from uqsphere.propagation.limits import state_of
-from uqsphere.propagation.quantities import density, described
-from uqsphere.propagation.sampled import source_of
-from uqsphere.propagation.tables import Tables
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results.answers import answers_csv, csv_text
 from uqsphere.results.folder import write_files
@@ -48,6 +39,16 @@ from uqsphere.results.types import (
 )
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law
+
+from .checks import Check
+from .demands import demands_of, number_of_tests, strength_of
+from .design import Design
+from .failure_modes import breaks_by, means_fracture
+from .fragility import planned_value
+from .limits import state_of
+from .quantities import density, described
+from .sampled import source_of
+from .tables import Tables
 
 #: rows of samples.csv
 MOST_ROWS = 16_384

@@ -2,7 +2,7 @@
 side.
 """
 
-from uqsphere.report.page import page_files, write_page
-from uqsphere.report.terminal import summary
+from .page import page_files, write_page
+from .terminal import summary
 
 __all__ = ["page_files", "summary", "write_page"]

@@ -12,10 +12,11 @@ import numpy as np
 from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
-from uqsphere.report.format import DASH, change_text, ends_of, label, meaning, plain_name, value
-from uqsphere.report.sentences import DecisionText
 from uqsphere.results import Run
 from uqsphere.results.types import Answer, InputEntry, Kind, Range
+
+from .format import DASH, change_text, ends_of, label, meaning, plain_name, value
+from .sentences import DecisionText
 
 if TYPE_CHECKING:
     import pandas as pd

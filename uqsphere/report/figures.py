@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability
-from uqsphere.report.format import probability, small, title_of, with_unit
-from uqsphere.report.fragility import curves_of, draw_fragility, planned_value
-from uqsphere.report.pictures import (
+from uqsphere.results.types import QuantityEntry, Results
+
+from .format import probability, small, title_of, with_unit
+from .fragility import curves_of, draw_fragility, planned_value
+from .pictures import (
     BLUE,
     GREEN,
     INK,
@@ -29,8 +31,7 @@ from uqsphere.report.pictures import (
     quantile_texts,
     varies,
 )
-from uqsphere.report.sentences import chart_title, decision_texts
-from uqsphere.results.types import QuantityEntry, Results
+from .sentences import chart_title, decision_texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,16 +14,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
-from uqsphere.report.format import (
-    Estimated,
-    entries_of,
-    label,
-    plain_name,
-    small,
-    table_of,
-    with_unit,
-)
-from uqsphere.report.pictures import (
+from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
+
+from .format import Estimated, entries_of, label, plain_name, small, table_of, with_unit
+from .pictures import (
     BLUE,
     BROWN,
     FAINT,
@@ -39,8 +33,7 @@ from uqsphere.report.pictures import (
     plain_logarithms,
     write,
 )
-from uqsphere.report.sentences import DecisionText, all_modes, joint_event
-from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
+from .sentences import DecisionText, all_modes, joint_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -29,13 +29,14 @@ from uqsphere.mechanics.scene import STATUS
 from uqsphere.models.model import announce_compilation
 from uqsphere.models.scene import evaluate_scene, paper_lines, scene_of
 from uqsphere.quantities import format_value, lookup
-from uqsphere.report.figures import COLOURS, Picture, svg
-from uqsphere.report.format import capital
-from uqsphere.report.page import render
-from uqsphere.report.pictures import GREY
-from uqsphere.report.tables import PageTable
 from uqsphere.results.folder import write_files
 from uqsphere.study import Study
+
+from .figures import COLOURS, Picture, svg
+from .format import capital
+from .page import render
+from .pictures import GREY
+from .tables import PageTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

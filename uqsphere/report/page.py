@@ -12,11 +12,12 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from uqsphere.quantities import format_probability
-from uqsphere.report import sentences, tables
-from uqsphere.report.figures import Picture, pictures_of
-from uqsphere.report.format import capital, keep_units, meaning
 from uqsphere.results.folder import read_results, write_files
 from uqsphere.results.types import Results
+
+from . import sentences, tables
+from .figures import Picture, pictures_of
+from .format import capital, keep_units, meaning
 
 #: figures of the row below the decision
 FRONT: tuple[str, ...] = ("density-1", "density-2", "sobol")

@@ -9,8 +9,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Names
 from uqsphere.quantities import display_unit, format_probability, format_together
-from uqsphere.report.format import ends_of, meaning, table_of, with_unit
 from uqsphere.results.types import Kind, QuantityEntry, Range, Results
+
+from .format import ends_of, meaning, table_of, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

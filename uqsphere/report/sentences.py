@@ -10,18 +10,6 @@ from itertools import chain
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_conservative, format_probability, round_conservative
-from uqsphere.report.format import (
-    DASH,
-    Estimated,
-    capital,
-    is_least,
-    meaning,
-    plain_name,
-    plain_probability,
-    probability,
-    small,
-    value,
-)
 from uqsphere.results.types import (
     AccuracyEntry,
     Aim,
@@ -34,6 +22,19 @@ from uqsphere.results.types import (
     Results,
     Shortfall,
     Stop,
+)
+
+from .format import (
+    DASH,
+    Estimated,
+    capital,
+    is_least,
+    meaning,
+    plain_name,
+    plain_probability,
+    probability,
+    small,
+    value,
 )
 
 #: why a run ended

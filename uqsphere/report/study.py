@@ -9,13 +9,14 @@ import numpy as np
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.quantities import OUTPUTS, display_unit, format_value
-from uqsphere.report.format import DASH, meaning, source_text, value, value_range
-from uqsphere.report.page import render
-from uqsphere.report.tables import PageTable, columns
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.families import FAMILIES
 from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
+
+from .format import DASH, meaning, source_text, value, value_range
+from .page import render
+from .tables import PageTable, columns
 
 #: probabilities of the ends of the range that is printed of a random number
 ENDS = np.array([0.05, 0.95])

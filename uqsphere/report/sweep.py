@@ -19,15 +19,16 @@ from uqsphere.arrays import frozen
 from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
 from uqsphere.quantities import display_unit, lookup
-from uqsphere.report.figures import COLOURS, Picture, svg
-from uqsphere.report.format import capital, plain_name, plain_probability, short, with_unit
-from uqsphere.report.page import render
-from uqsphere.report.sentences import DecisionText, chart_title, exceedance_name, joint_event
-from uqsphere.report.tables import PageTable, columns
 from uqsphere.results import Run, open_run
 from uqsphere.results.folder import SUMS, locked, write_files
 from uqsphere.results.types import Decision, Results
 from uqsphere.study import Study
+
+from .figures import COLOURS, Picture, svg
+from .format import capital, plain_name, plain_probability, short, with_unit
+from .page import render
+from .sentences import DecisionText, chart_title, exceedance_name, joint_event
+from .tables import PageTable, columns
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,7 +7,20 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 from uqsphere.quantities import format_probability, format_together
-from uqsphere.report.format import (
+from uqsphere.results.answers import Answers
+from uqsphere.results.types import (
+    Answer,
+    Decision,
+    Doubt,
+    FreeNumber,
+    InputEntry,
+    Kind,
+    LimitEntry,
+    MarginNote,
+    Results,
+)
+
+from .format import (
     DASH,
     capital,
     entries_of,
@@ -23,8 +36,8 @@ from uqsphere.report.format import (
     value,
     value_range,
 )
-from uqsphere.report.pictures import ranked_inputs
-from uqsphere.report.sentences import (
+from .pictures import ranked_inputs
+from .sentences import (
     METHODS,
     DecisionText,
     all_modes,
@@ -33,18 +46,6 @@ from uqsphere.report.sentences import (
     exceedance_name,
     joint_event,
     limit_notes,
-)
-from uqsphere.results.answers import Answers
-from uqsphere.results.types import (
-    Answer,
-    Decision,
-    Doubt,
-    FreeNumber,
-    InputEntry,
-    Kind,
-    LimitEntry,
-    MarginNote,
-    Results,
 )
 
 #: texts of a row

@@ -3,17 +3,12 @@
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from uqsphere.report import tables
-from uqsphere.report.format import keep_units, meaning, value_range
-from uqsphere.report.sentences import (
-    NO_LIMIT,
-    accuracy_text,
-    decision_texts,
-    exceedance_name,
-    limit_notes,
-)
-from uqsphere.report.tables import Row
 from uqsphere.results.types import Results
+
+from . import tables
+from .format import keep_units, meaning, value_range
+from .sentences import NO_LIMIT, accuracy_text, decision_texts, exceedance_name, limit_notes
+from .tables import Row
 
 #: lines at most, rows of each table, and columns of indices
 LINES, ROWS, COLUMNS = 40, 8, 3

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from uqsphere.quantities import lookup
-from uqsphere.results.types import OF_QUANTITY, Answer, Kind
 from uqsphere.uq import Estimate
+
+from .types import OF_QUANTITY, Answer, Kind
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,8 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from uqsphere.errors import AccessError, FolderError, as_text
-from uqsphere.results.types import Results
+
+from .types import Results
 
 SUMS = "SHA256SUMS"
 RESULTS = "results.json"

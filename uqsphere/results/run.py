@@ -12,9 +12,10 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, frozen
 from uqsphere.errors import UsageError
-from uqsphere.results.answers import frame_of
-from uqsphere.results.folder import read_checked, read_results
-from uqsphere.results.types import Decision, Results
+
+from .answers import frame_of
+from .folder import read_checked, read_results
+from .types import Decision, Results
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -4,10 +4,10 @@ them at once.
 
 from pathlib import Path
 
-from uqsphere.study.document import Margins, json_schema, limit_of
-from uqsphere.study.load import load_study
-from uqsphere.study.study import Limit, Study, default_target, strength_name
-from uqsphere.study.values import NOTABLE
+from .document import Margins, json_schema, limit_of
+from .load import load_study
+from .study import Limit, Study, default_target, strength_name
+from .values import NOTABLE
 
 __all__ = [
     "NOTABLE",

@@ -25,13 +25,14 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
 from uqsphere.mechanics.rigs import LAW, RIGS
 from uqsphere.quantities import format_value, lookup, plain_quantity
-from uqsphere.study.document import RIG_TABLES, SCENE, Document
-from uqsphere.study.limits import compare_sizes, parameters_of, read_limit
-from uqsphere.study.plausibility import warn_of_slips
-from uqsphere.study.study import Draft, Study, default_target, scene_with, strength_name
-from uqsphere.study.values import Number, number_of, numbers_of, pulse_of, value_of
 from uqsphere.units import shown
 from uqsphere.uq import Dependence, Law, LawError, make_joint
+
+from .document import RIG_TABLES, SCENE, Document
+from .limits import compare_sizes, parameters_of, read_limit
+from .plausibility import warn_of_slips
+from .study import Draft, Study, default_target, scene_with, strength_name
+from .values import Number, number_of, numbers_of, pulse_of, value_of
 
 Faults = Iterator[Fault]
 #: which materials of the library a table may name; partners take any

@@ -27,9 +27,10 @@ from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.pulses import PRESETS, SHAPES
 from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS
-from uqsphere.study.values import Observations, Positive, fraction, numbers_of, value_of
 from uqsphere.units import UNITS, Quantity, shown
 from uqsphere.uq.families import FAMILIES
+
+from .values import Observations, Positive, fraction, numbers_of, value_of
 
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES = {

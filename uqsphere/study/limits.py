@@ -16,10 +16,15 @@ from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, OUTPUTS, lookup, plain_quantity
-from uqsphere.study.document import LimitTable
-from uqsphere.study.plausibility import like_material
-from uqsphere.study.study import DEFAULT_TARGET, Draft, Limit
-from uqsphere.study.values import (
+from uqsphere.tables import Table
+from uqsphere.units import UNITS, Quantity, shown
+from uqsphere.uq import Law
+from uqsphere.uq.fitting import modulus_of
+
+from .document import LimitTable
+from .plausibility import like_material
+from .study import DEFAULT_TARGET, Draft, Limit
+from .values import (
     FARTHEST_SIZE,
     Number,
     Observations,
@@ -32,10 +37,6 @@ from uqsphere.study.values import (
     warn_of_rows,
     warn_unusual,
 )
-from uqsphere.tables import Table
-from uqsphere.units import UNITS, Quantity, shown
-from uqsphere.uq import Law
-from uqsphere.uq.fitting import modulus_of
 
 #: the energy that a strength in J/kg is based on, and the demand that is compared with it
 _ENERGIES = {

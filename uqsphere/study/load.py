@@ -14,9 +14,10 @@ from uqsphere.documents import (
     set_value,
     toml_text,
 )
-from uqsphere.study.check import BOX_STAGES, STAGES, resolve
-from uqsphere.study.study import Draft, Study
 from uqsphere.uq.foreign import law_table
+
+from .check import BOX_STAGES, STAGES, resolve
+from .study import Draft, Study
 
 
 def load_study(

@@ -13,8 +13,9 @@ from uqsphere.materials import PROPERTIES, Material, library
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
-from uqsphere.study.study import Draft, Limit, strength_name
 from uqsphere.uq.fitting import is_fitted, modulus_of
+
+from .study import Draft, Limit, strength_name
 
 #: the library's range of a property, and of which solids
 Range: TypeAlias = tuple[float, float, str]

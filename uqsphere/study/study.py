@@ -25,10 +25,11 @@ from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS, Rig
 from uqsphere.mechanics.scene import Scene
-from uqsphere.study.document import Aim, Analysis, Document, Gauge, Margins, ModelChoice, Words
-from uqsphere.study.values import Number, Tested
 from uqsphere.uq import Dependence, Joint, Law, make_joint
 from uqsphere.uq.families import Family
+
+from .document import Aim, Analysis, Document, Gauge, Margins, ModelChoice, Words
+from .values import Number, Tested
 
 #: failure probability that is allowed where a study says nothing at all
 DEFAULT_TARGET = 0.01
@@ -162,8 +163,9 @@ class Study:
 
     def __init__(self, **tables: Any) -> None:
         if "path" not in tables:
-            from uqsphere.study.load import load_study
             from uqsphere.uq.foreign import of_salib
+
+            from .load import load_study
 
             tables = {key: table for key, table in tables.items() if table is not None}
             outputs = tables.get("outputs")

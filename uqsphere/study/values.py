@@ -47,8 +47,8 @@ from uqsphere.uq.fitting import (
 from uqsphere.uq.forms import LOGNORMAL, WEIBULL
 
 if TYPE_CHECKING:
-    from uqsphere.study.document import PulseTable
-    from uqsphere.study.study import Draft
+    from .document import PulseTable
+    from .study import Draft
 
 #: a share of a law outside what has a meaning that is worth a warning
 NOTABLE = 1e-6

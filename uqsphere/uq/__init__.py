@@ -16,20 +16,13 @@ moments, sampling, refusals, the schema and the table of docs/study-file.md foll
 line in PAIRS of tests/uq/test_laws.py.
 """
 
-from uqsphere.uq.estimate import Estimate, absent, exact, from_replicates, student
-from uqsphere.uq.forms import LawError
-from uqsphere.uq.joint import Dependence, Joint, make_joint
-from uqsphere.uq.law import Law, discrete_law, make_law
-from uqsphere.uq.limit_state import (
-    LimitState,
-    complement,
-    failure_of_aim,
-    score_of,
-    tails,
-    target_met,
-)
-from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.sample import Sample
+from .estimate import Estimate, absent, exact, from_replicates, student
+from .forms import LawError
+from .joint import Dependence, Joint, make_joint
+from .law import Law, discrete_law, make_law
+from .limit_state import LimitState, complement, failure_of_aim, score_of, tails, target_met
+from .points import random_generator, sobol_points
+from .sample import Sample
 
 __all__ = [
     "Dependence",

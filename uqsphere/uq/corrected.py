@@ -31,9 +31,10 @@ from functools import cached_property
 import numpy as np
 
 from uqsphere.arrays import Array, Values, frozen
-from uqsphere.uq.chaos import projections
-from uqsphere.uq.describe import Description, heavy_tail, rising
-from uqsphere.uq.estimate import (
+
+from .chaos import projections
+from .describe import Description, heavy_tail, rising
+from .estimate import (
     Estimate,
     absent,
     bounded,
@@ -45,7 +46,7 @@ from uqsphere.uq.estimate import (
     spreads,
     student,
 )
-from uqsphere.uq.response import FOLDS, METHOD, ROUNDING, Response, unseen
+from .response import FOLDS, METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is

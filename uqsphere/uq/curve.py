@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.arrays import Array, frozen, special
-from uqsphere.uq.estimate import (
+
+from .estimate import (
     SURE,
     Estimate,
     absent,

@@ -15,7 +15,8 @@ from functools import partial
 import numpy as np
 
 from uqsphere.arrays import Array, Cells, Flags, Values, frozen, special
-from uqsphere.uq.estimate import (
+
+from .estimate import (
     CELL,
     LEFT_OUT,
     SHARE,

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uqsphere.arrays import frozen
-from uqsphere.uq import forms
-from uqsphere.uq.forms import Form, LawError, Placed
+
+from . import forms
+from .forms import Form, LawError, Placed
 
 if TYPE_CHECKING:
-    from uqsphere.uq.law import Law
+    from .law import Law
 
 Keys = dict[str, float]
 

@@ -23,19 +23,11 @@ import numpy as np
 from numpy.random import Generator
 
 from uqsphere.arrays import Array, Flags, frozen, special
-from uqsphere.uq.estimate import ENDS
-from uqsphere.uq.families import DRAWN, FAMILIES, Keys
-from uqsphere.uq.forms import (
-    GAUSS,
-    MOST_KERNELS,
-    SMALLEST,
-    WEIBULL,
-    Form,
-    Function,
-    LawError,
-    bandwidth,
-)
-from uqsphere.uq.law import Law, bounds_of, checked
+
+from .estimate import ENDS
+from .families import DRAWN, FAMILIES, Keys
+from .forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, Function, LawError, bandwidth
+from .law import Law, bounds_of, checked
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
-from uqsphere.uq.families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
-from uqsphere.uq.fitting import fitted_law
-from uqsphere.uq.forms import LawError
-from uqsphere.uq.joint import Dependence, Joint, make_joint
-from uqsphere.uq.law import Law, checked, discrete_law, make_law
+
+from .families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
+from .fitting import fitted_law
+from .forms import LawError
+from .joint import Dependence, Joint, make_joint
+from .law import Law, checked, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike = Any

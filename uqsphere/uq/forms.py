@@ -20,7 +20,7 @@ from uqsphere.arrays import Array, frozen, special
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
-    from uqsphere.uq.law import Law
+    from .law import Law
 
 Function = Callable[[Array], Array]
 Quantile = Callable[[Array, Array], Array]

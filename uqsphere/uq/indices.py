@@ -19,17 +19,9 @@ from itertools import combinations
 import numpy as np
 
 from uqsphere.arrays import Array, Values, frozen
-from uqsphere.uq.estimate import (
-    Estimate,
-    absent,
-    bounded,
-    carriers,
-    freedom,
-    ratio_of_means,
-    spread,
-    student,
-)
-from uqsphere.uq.points import sobol_points
+
+from .estimate import Estimate, absent, bounded, carriers, freedom, ratio_of_means, spread, student
+from .points import sobol_points
 
 METHOD = "pick and freeze"
 NO_SCATTER = "the output does not vary"

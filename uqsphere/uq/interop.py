@@ -13,11 +13,12 @@ import numpy as np
 
 from uqsphere.arrays import Array, frozen, special
 from uqsphere.errors import UsageError
-from uqsphere.uq.estimate import Estimate, absent, from_replicates
-from uqsphere.uq.foreign import SALIB
-from uqsphere.uq.indices import Blocks, base_points
-from uqsphere.uq.joint import Joint
-from uqsphere.uq.law import Law
+
+from .estimate import Estimate, absent, from_replicates
+from .foreign import SALIB
+from .indices import Blocks, base_points
+from .joint import Joint
+from .law import Law
 
 if TYPE_CHECKING:
     from chaospy import Distribution

@@ -19,9 +19,10 @@ from itertools import chain, combinations
 import numpy as np
 
 from uqsphere.arrays import Array, frozen, special
-from uqsphere.uq.forms import CERTAIN, GAUSS, LawError, student_t
-from uqsphere.uq.law import Law
-from uqsphere.uq.points import sobol_points
+
+from .forms import CERTAIN, GAUSS, LawError, student_t
+from .law import Law
+from .points import sobol_points
 
 COPULAS = ("gaussian", "student_t")
 #: least eigenvalue of a correlation matrix that is taken for positive definite: the inverse then

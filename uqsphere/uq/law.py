@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array, frozen
-from uqsphere.uq.families import FAMILIES, Family, family_named
-from uqsphere.uq.forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density, truncated
+
+from .families import FAMILIES, Family, family_named
+from .forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density, truncated
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
 _MOST_STEPS = 10_000

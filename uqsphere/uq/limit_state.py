@@ -17,8 +17,9 @@ import numpy as np
 from numpy.random import Generator
 
 from uqsphere.arrays import Array, Flags, Places, frozen, special
-from uqsphere.uq.describe import quantile_estimates
-from uqsphere.uq.estimate import (
+
+from .describe import quantile_estimates
+from .estimate import (
     Estimate,
     absent,
     between,
@@ -29,9 +30,9 @@ from uqsphere.uq.estimate import (
     spread,
     student,
 )
-from uqsphere.uq.forms import CERTAIN, GAUSS, Tails
-from uqsphere.uq.joint import FREE, Tie
-from uqsphere.uq.law import Law, make_law
+from .forms import CERTAIN, GAUSS, Tails
+from .joint import FREE, Tie
+from .law import Law, make_law
 
 
 @frozen(eq=False)

@@ -24,12 +24,13 @@ from functools import cached_property
 import numpy as np
 
 from uqsphere.arrays import Array, Places, frozen
-from uqsphere.uq.chaos import Chaos, GermLike, Integrals, fit_chaos, predict
-from uqsphere.uq.chaos import integrals as integrals_of
-from uqsphere.uq.chaos.basis import score_of
-from uqsphere.uq.chaos.expansion import law_points
-from uqsphere.uq.chaos.fit import constant_fit, folds_of
-from uqsphere.uq.estimate import count_bound, distances, mean_and_sd, student
+
+from .chaos import Chaos, GermLike, Integrals, fit_chaos, predict
+from .chaos import integrals as integrals_of
+from .chaos.basis import score_of
+from .chaos.expansion import law_points
+from .chaos.fit import constant_fit, folds_of
+from .estimate import count_bound, distances, mean_and_sd, student
 
 METHOD = "polynomial chaos, corrected by its residuals"
 #: folds that rows are split into: seven eighths of them fit each time, and twice 8 are the

@@ -11,8 +11,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, is_labelled
 from uqsphere.errors import UsageError
-from uqsphere.uq.joint import Joint
-from uqsphere.uq.law import Law
+
+from .joint import Joint
+from .law import Law
 
 #: chance at which rows of the right distribution are rejected, by input and by pair of inputs
 CHANCE = 1e-6

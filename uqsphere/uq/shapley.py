@@ -21,19 +21,13 @@ from itertools import cycle, permutations
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.chaos import germ_points, predict
-from uqsphere.uq.estimate import (
-    REPLICATES,
-    Estimate,
-    absent,
-    from_replicates,
-    ratio_of_means,
-    student,
-)
-from uqsphere.uq.indices import LARGE
-from uqsphere.uq.joint import Joint
-from uqsphere.uq.points import random_generator, sobol_points
-from uqsphere.uq.response import METHOD, Response
+
+from .chaos import germ_points, predict
+from .estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
+from .indices import LARGE
+from .joint import Joint
+from .points import random_generator, sobol_points
+from .response import METHOD, Response
 
 #: inputs up to which all orders are taken (6! = 720), and random orders of more of them, each with
 #: its reverse

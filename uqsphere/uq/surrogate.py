@@ -27,7 +27,8 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, frozen, is_labelled
 from uqsphere.errors import UsageError
-from uqsphere.uq.chaos import (
+
+from .chaos import (
     Chaos,
     ChaospyObjects,
     GermLike,
@@ -38,16 +39,16 @@ from uqsphere.uq.chaos import (
     predict,
     rows_of,
 )
-from uqsphere.uq.chaos.basis import MOST_STEPS, Germ, values_of
-from uqsphere.uq.corrected import indices_of
-from uqsphere.uq.estimate import LEVEL, Estimate
-from uqsphere.uq.families import Family, family_of
-from uqsphere.uq.joint import Copula, Joint
-from uqsphere.uq.law import Law
-from uqsphere.uq.points import random_generator
-from uqsphere.uq.response import Fold, Response, cross_fit
-from uqsphere.uq.rows import as_table
-from uqsphere.uq.shapley import dependent_shares
+from .chaos.basis import MOST_STEPS, Germ, values_of
+from .corrected import indices_of
+from .estimate import LEVEL, Estimate
+from .families import Family, family_of
+from .joint import Copula, Joint
+from .law import Law
+from .points import random_generator
+from .response import Fold, Response, cross_fit
+from .rows import as_table
+from .shapley import dependent_shares
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

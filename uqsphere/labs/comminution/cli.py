@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from uqsphere.documents import load_document
-from uqsphere.labs.comminution.document import ComminutionDocument
 from uqsphere.labs.files import chosen_command, csv_text, finish, table
+
+from .document import ComminutionDocument
 
 
 def main(argv: Sequence[str]) -> int:
@@ -30,9 +31,9 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> None:
-    from uqsphere.labs.comminution.feed import answer_feed
-    from uqsphere.labs.comminution.fit import UNTESTED, fit
-    from uqsphere.labs.comminution.tests import load_tests
+    from .feed import answer_feed
+    from .fit import UNTESTED, fit
+    from .tests import load_tests
 
     asked = load_document(chosen.file, ComminutionDocument)
     folder = chosen.file.parent

@@ -13,10 +13,11 @@ import numpy as np
 
 from uqsphere.arrays import Array, Cells
 from uqsphere.errors import UqsphereError, UsageError
-from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument, Elastic
 from uqsphere.materials import library
 from uqsphere.tables import Table
+
+from . import laws
+from .document import ComminutionDocument, Elastic
 
 #: mass of a falling weight over that of a particle, where it only carries the energy
 _HEAVY = 1000.0

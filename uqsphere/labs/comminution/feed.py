@@ -14,11 +14,12 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.errors import UsageError
-from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument, Lognormal, SizesTable
-from uqsphere.labs.comminution.energies import offered_shares
-from uqsphere.labs.comminution.fit import SYNTHETIC, UNTESTED, Posterior, quantiles
 from uqsphere.tables import read_table
+
+from . import laws
+from .document import ComminutionDocument, Lognormal, SizesTable
+from .energies import offered_shares
+from .fit import SYNTHETIC, UNTESTED, Posterior, quantiles
 
 #: draws for which a feed is computed
 DRAWS = 1000

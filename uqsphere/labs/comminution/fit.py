@@ -17,10 +17,11 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places, Values, special
 from uqsphere.errors import UsageError
-from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.comminution.tests import Specimens
 from uqsphere.labs.files import csv_text
+
+from . import laws
+from .document import ComminutionDocument
+from .tests import Specimens
 
 #: priors of logarithms (mean, sd): 95 % of phi in 0.41 to 2.4 and of gamma in 2.0 to 7.9, the
 #: published ranges; the modulus of a Weibull law has the scatter that sigma has

@@ -10,10 +10,11 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 from uqsphere.errors import UsageError
-from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument
-from uqsphere.labs.comminution.energies import particle_energies
 from uqsphere.tables import Table, read_table
+
+from . import laws
+from .document import ComminutionDocument
+from .energies import particle_energies
 
 #: rigs that record the energy at failure, and those that record the energy offered
 _AT_FAILURE = ("platens", "load_cell", "bars")

@@ -7,7 +7,8 @@ import numpy as np
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.mending import Record, Signal, note, smooth
+
+from .mending import Record, Signal, note, smooth
 
 #: share of the peak at which an arrival is read, and the time [s] over which it is averaged: to
 #: doubt distances, and to shift a steep wave

@@ -8,7 +8,8 @@ from dataclasses import asdict
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text
 from uqsphere.labs.files import chosen_command, csv_text, finish, table
-from uqsphere.labs.shpb.document import RecordDocument
+
+from .document import RecordDocument
 
 
 def main(argv: Sequence[str]) -> int:
@@ -24,9 +25,9 @@ def main(argv: Sequence[str]) -> int:
 
 def _records(chosen: argparse.Namespace) -> int:
     """Every input file: its sheet; of several also tests.csv, one line a test."""
-    from uqsphere.labs.shpb import sheet
-    from uqsphere.labs.shpb.mending import load_record
-    from uqsphere.labs.shpb.waves import read_test
+    from . import sheet
+    from .mending import load_record
+    from .waves import read_test
 
     several = len(chosen.file) > 1
     lines = []
@@ -67,7 +68,7 @@ def _records(chosen: argparse.Namespace) -> int:
 
 
 def _fit_contact(chosen: argparse.Namespace) -> None:
-    from uqsphere.labs.shpb.contact import ContactDocument, fit_contact, load_loading
+    from .contact import ContactDocument, fit_contact, load_loading
 
     asked = load_document(chosen.file, ContactDocument)
     fit = fit_contact(load_loading(asked, chosen.file.parent), asked)
@@ -79,7 +80,7 @@ def _fit_contact(chosen: argparse.Namespace) -> None:
 
 
 def _plan(chosen: argparse.Namespace) -> None:
-    from uqsphere.labs.shpb.plan import PlanDocument, plan_csv, plan_test, plan_text
+    from .plan import PlanDocument, plan_csv, plan_test, plan_text
 
     plan = plan_test(load_document(chosen.file, PlanDocument), chosen.file.parent)
     finish(chosen, plan, plan_text(plan), {"plan.csv": plan_csv(plan)})

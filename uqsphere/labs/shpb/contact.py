@@ -18,10 +18,11 @@ from scipy.special import stdtrit
 from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
-from uqsphere.labs.shpb.recorder import read_recorded
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
+
+from .recorder import read_recorded
 
 #: fewest and most samples that are fitted
 _LEAST, _MOST = 30, 1500

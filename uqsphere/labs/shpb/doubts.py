@@ -9,8 +9,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from uqsphere.arrays import Array
-from uqsphere.labs.shpb.mending import Signal
-from uqsphere.labs.shpb.peaks import NORMAL, Peaks, stretch
+
+from .mending import Signal
+from .peaks import NORMAL, Peaks, stretch
 
 #: difference between two gauges of a bar over the wave that is a gross fault
 _GROSS = 0.25

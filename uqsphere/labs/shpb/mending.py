@@ -14,8 +14,9 @@ from scipy.ndimage import binary_closing, maximum_filter, median_filter, uniform
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import BarTable, RecordDocument
-from uqsphere.labs.shpb.recorder import Changes, Trace, read_traces
+
+from .document import BarTable, RecordDocument
+from .recorder import Changes, Trace, read_traces
 
 #: no wave of a bar is shorter [s]
 _SHORTEST = 1e-6

@@ -13,9 +13,10 @@ import numpy as np
 from uqsphere import tables
 from uqsphere.arrays import Array, Flags
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.document import BarTable, RecordDocument, RecordTable
 from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_comment
 from uqsphere.units import UNITS
+
+from .document import BarTable, RecordDocument, RecordTable
 
 #: dividers of columns with decimal marks
 _WRITTEN = (";.", ";,", "\t.", "\t,", ",.", " .", " ,")

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.labs.files import csv_text
-from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.peaks import NORMAL
-from uqsphere.labs.shpb.waves import Reading
+
+from .document import RecordDocument
+from .peaks import NORMAL
+from .waves import Reading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

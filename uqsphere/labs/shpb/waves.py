@@ -20,18 +20,13 @@ from scipy.signal import savgol_filter
 
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.arrivals import Arrivals, find_arrivals
-from uqsphere.labs.shpb.doubts import (
-    EQUILIBRIUM,
-    check_bending,
-    check_impulse,
-    check_specimen,
-    check_striker,
-)
-from uqsphere.labs.shpb.mending import Record, Signal, note, smooth
-from uqsphere.labs.shpb.peaks import Force, Peak, Peaks, largest_force
-from uqsphere.labs.shpb.recorder import Changes
 from uqsphere.mechanics.bars import correct
+
+from .arrivals import Arrivals, find_arrivals
+from .doubts import EQUILIBRIUM, check_bending, check_impulse, check_specimen, check_striker
+from .mending import Record, Signal, note, smooth
+from .peaks import Force, Peak, Peaks, largest_force
+from .recorder import Changes
 
 #: fewest samples of a wave at a face
 _FEWEST = 50

@@ -11,17 +11,11 @@ import math
 
 import numpy as np
 
-from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.faces import (
-    ARMED,
-    approach_at,
-    face_force,
-    face_yielded,
-    stored_energy,
-)
-from uqsphere.mechanics.integrator.incoming import heard
-from uqsphere.mechanics.integrator.tracked import (
+from . import tracked
+from .compiled import compiled
+from .faces import ARMED, approach_at, face_force, face_yielded, stored_energy
+from .incoming import heard
+from .tracked import (
     DIFFERENCE,
     ENERGY,
     FACE_A,

@@ -25,8 +25,10 @@ from __future__ import annotations
 
 import math
 
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import (
+from uqsphere.mechanics.yielding import first_loading
+
+from .compiled import compiled
+from .tracked import (
     LANES,
     LAW_ONSET,
     LAW_PILE_UP,
@@ -37,7 +39,6 @@ from uqsphere.mechanics.integrator.tracked import (
     PAIR,
     TAIL_SHARE,
 )
-from uqsphere.mechanics.yielding import first_loading
 
 #: share of x_m by which an approach has to fall below it before it can rise through it again
 ARMED = 1e-13

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.lanes import WAVE_THETAS
-from uqsphere.mechanics.integrator.tracked import LANES, ORDER, QUEUE, TERMS, WAVE
+from .compiled import compiled
+from .lanes import WAVE_THETAS
+from .tracked import LANES, ORDER, QUEUE, TERMS, WAVE
 
 
 @compiled

@@ -34,9 +34,10 @@ import math
 from typing import Any, NamedTuple
 
 from uqsphere.arrays import Array, Places
-from uqsphere.mechanics.integrator import events, incoming, lanes, records, tracked
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.faces import (
+
+from . import events, incoming, lanes, records, tracked
+from .compiled import compiled
+from .faces import (
     MOST_TURNS,
     face_force,
     follows_law,
@@ -50,18 +51,7 @@ from uqsphere.mechanics.integrator.faces import (
     within_spring,
     wrong_branch,
 )
-from uqsphere.mechanics.integrator.tracked import (
-    FACE_A,
-    FACE_B,
-    FULL,
-    LANES,
-    LINEAR,
-    MASSLESS,
-    PAIR,
-    POINTS,
-    TERMS,
-    End,
-)
+from .tracked import FACE_A, FACE_B, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew

@@ -26,17 +26,8 @@ import math
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import (
-    LANES,
-    LINEAR,
-    MASSLESS,
-    ORDER,
-    PAIR,
-    POINTS,
-    TERMS,
-    WAVE,
-)
+from .compiled import compiled
+from .tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS, WAVE
 
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section
 #: 5)

@@ -20,17 +20,11 @@ from __future__ import annotations
 
 import math
 
-from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.events import OF_BOTH, approach_of, first_at, highest_between
-from uqsphere.mechanics.integrator.faces import (
-    face_yielded,
-    largest_approach,
-    largest_force,
-    on_virgin_loading,
-    stored_energy,
-)
-from uqsphere.mechanics.integrator.tracked import (
+from . import tracked
+from .compiled import compiled
+from .events import OF_BOTH, approach_of, first_at, highest_between
+from .faces import face_yielded, largest_approach, largest_force, on_virgin_loading, stored_energy
+from .tracked import (
     CELLS,
     DIFFERENCE,
     ENERGY,

@@ -25,11 +25,12 @@ from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Flags, Places, Values, frozen
 from uqsphere.mechanics import bars, contact
-from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.integrator.compiled import without_collection
-from uqsphere.mechanics.integrator.tracked import empty_answers
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scene
+
+from . import tracked
+from .compiled import without_collection
+from .tracked import empty_answers
 
 Result = TypeVar("Result")
 
@@ -281,7 +282,7 @@ def march_rows(
     wanted: bits `tracked.WANT_*`.  requested: the tolerance of the answers, where `tolerance` is
     closer.
     """
-    from uqsphere.mechanics.integrator.kernel import Answers, Rows, march
+    from .kernel import Answers, Rows, march
 
     share = yielded = _LOCAL
     if wanted & tracked.WANT_DIFFERENCE:

@@ -2,24 +2,9 @@
 chaospy's objects.
 """
 
-from uqsphere.uq.chaos.basis import (
-    Germ,
-    GermLike,
-    base_of,
-    germ_points,
-    germs_of,
-    hyperbolic_indices,
-    rows_of,
-)
-from uqsphere.uq.chaos.expansion import (
-    Chaos,
-    ChaospyObjects,
-    Integrals,
-    integrals,
-    predict,
-    projections,
-)
-from uqsphere.uq.chaos.fit import fit_chaos
+from .basis import Germ, GermLike, base_of, germ_points, germs_of, hyperbolic_indices, rows_of
+from .expansion import Chaos, ChaospyObjects, Integrals, integrals, predict, projections
+from .fit import fit_chaos
 
 __all__ = [
     "Chaos",

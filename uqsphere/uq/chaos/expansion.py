@@ -15,7 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, frozen, special
-from uqsphere.uq.chaos.basis import (
+from uqsphere.uq.estimate import ratio_of_means, spread, spreads, student
+from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
+from uqsphere.uq.points import sobol_points
+
+from .basis import (
     Germ,
     GermLike,
     germ_points,
@@ -25,9 +29,6 @@ from uqsphere.uq.chaos.basis import (
     rows_of,
     steps_of,
 )
-from uqsphere.uq.estimate import ratio_of_means, spread, spreads, student
-from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
-from uqsphere.uq.points import sobol_points
 
 if TYPE_CHECKING:
     from pandas import DataFrame

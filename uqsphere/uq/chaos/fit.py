@@ -21,7 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Places, Values
-from uqsphere.uq.chaos.basis import (
+from uqsphere.uq.estimate import mean_and_sd
+
+from .basis import (
     HIGHEST_DEGREE,
     GermLike,
     grown,
@@ -32,8 +34,7 @@ from uqsphere.uq.chaos.basis import (
     products,
     skipping,
 )
-from uqsphere.uq.chaos.expansion import Chaos
-from uqsphere.uq.estimate import mean_and_sd
+from .expansion import Chaos
 
 #: what is left of the square norm of the outputs by rounding (the square of 1e-15), and of a row
 #: that depends on those taken before, to half of the digits

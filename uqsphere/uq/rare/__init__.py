@@ -25,9 +25,10 @@ from uqsphere.uq.estimate import (
     spread,
 )
 from uqsphere.uq.limit_state import complement
-from uqsphere.uq.rare.form import DesignPoint, find_design_points
-from uqsphere.uq.rare.kriging import by_kriging
-from uqsphere.uq.rare.mixture import (
+
+from .form import DesignPoint, find_design_points
+from .kriging import by_kriging
+from .mixture import (
     Draws,
     ImportanceAnswer,
     adapt,
@@ -42,8 +43,8 @@ from uqsphere.uq.rare.mixture import (
     standard_normal,
     wide_mixture,
 )
-from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator
-from uqsphere.uq.rare.subset import subset_simulation
+from .problem import MOST_DIMENSIONS, REACH, Evaluator
+from .subset import subset_simulation
 
 __all__ = [
     "REACH",

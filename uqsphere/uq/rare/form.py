@@ -13,7 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from uqsphere.arrays import Array, frozen
-from uqsphere.uq.rare.problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
+
+from .problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
 #: step of the central differences, and the distance below which two design points are one, in
 #: standard deviations

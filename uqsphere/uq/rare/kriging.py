@@ -23,8 +23,9 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.uq.estimate import NORMAL, Estimate, absent, bounded, count_bound
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.rare.mixture import draw, standard_normal, wide_mixture
-from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator
+
+from .mixture import draw, standard_normal, wide_mixture
+from .problem import MOST_DIMENSIONS, Evaluator
 
 #: evaluations below which no surrogate is fitted
 FEWEST = 64

@@ -30,8 +30,9 @@ from uqsphere.uq.estimate import (
     spread,
     student,
 )
-from uqsphere.uq.rare.form import DesignPoint
-from uqsphere.uq.rare.problem import MOST_DIMENSIONS, Evaluator, log_normal_density
+
+from .form import DesignPoint
+from .problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 
 METHOD = "importance sampling, mixture with randomised Sobol' points"
 #: least standard error on a hard limit, over that of independent points: stopping when the

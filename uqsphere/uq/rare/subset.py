@@ -22,7 +22,8 @@ from uqsphere.uq.estimate import (
     spread,
 )
 from uqsphere.uq.points import random_generator
-from uqsphere.uq.rare.problem import Evaluator, Spent
+
+from .problem import Evaluator, Spent
 
 #: share of a level that seeds the next (Au and Beck), the rate of acceptance that steps aim at
 #: (Papaioannou et al.), and the levels at most: ten to the minus fourteen
