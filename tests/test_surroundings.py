@@ -208,7 +208,17 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 #: an interpreter that compiles every file anew
-SLOW = {"-O -W error"}
+SLOW = {
+    "-O -W error",
+    "tr_TR",
+    "dumb, 20 columns",
+    "a full terminal",
+    "a log that is a link",
+    "a log that is a pipe",
+    "a full disk later",
+    "two at once",
+    "moved and copied",
+}
 
 
 @pytest.mark.parametrize(

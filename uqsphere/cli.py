@@ -606,7 +606,7 @@ def _history(options: Namespace) -> None:
 
     study = _loaded(options)
     course = history(study)
-    rows = history_rows(study, course)
+    rows = history_rows(course)
     width = min(max(len(text) for text, _ in rows), 88)
     print(f"{study.title}: one impact, every number at its mean")
     print("\n".join(f"{text:{width}}  {value}" for text, value in rows))

@@ -178,7 +178,7 @@ def test_a_study_prints_the_comparison_in_its_run_and_its_history(tmp_path, caps
     assert f"{peak.printed:.4g} GPa" in terminal
     assert f"{peak.corrected:.4g} GPa" in terminal
     study = uqsphere.load_study("studies/as_printed.toml")
-    texts = dict(history_rows(study, uqsphere.history(study)))
+    texts = dict(history_rows(uqsphere.history(study)))
     assert f"printed {peak.printed:.4g} GPa" in texts["paper: peak contact pressure"]
 
     main([*command, "--set", "model.compare_with_paper=false", "--out", str(tmp_path / "without")])

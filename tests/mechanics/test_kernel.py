@@ -16,7 +16,7 @@ import llvmlite.binding
 import numba
 import numpy as np
 import pytest
-from scenes import EXAMPLE, scaled_scene
+from scenes import EXAMPLE, example, scaled_scene
 
 from uqsphere.mechanics.integrator import events, faces, incoming, kernel, lanes, records, tracked
 from uqsphere.mechanics.integrator import solve as dynamics
@@ -340,6 +340,19 @@ def test_a_short_separation_inside_a_step_is_not_passed_over() -> None:
         for tolerance in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10)
     ]
     np.testing.assert_allclose(found, 193.18e-6, rtol=1e-4)
+
+
+def test_a_piece_of_a_pulse_as_short_as_a_rounding_is_over_at_once() -> None:
+    # its end was no stop of its own, and it lasted up to the next one: the pulse never fell
+    rise = 4e-5
+    scene = example("trapezoid", pulse_duration=rise, pulse_rise=rise, pulse_fall=rise)
+    arguments = dynamics.scaled_arguments(scene, np.array([0]))
+    peaks = []
+    for end in (arguments["breaks"][:, 1], np.nextafter(arguments["breaks"][:, 1], np.inf)):
+        arguments["breaks"][:, 2] = end
+        scaled = dynamics.march_rows(arguments, tracked.FULL, 1e-8)
+        peaks.append(scaled.answers["x"].max())
+    assert peaks[1] == pytest.approx(peaks[0], rel=1e-9)
 
 
 def test_every_function_is_compiled_in_one_form() -> None:

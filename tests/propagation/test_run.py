@@ -430,6 +430,17 @@ def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> Non
     assert failed.share == pytest.approx(stats.norm.sf(1.9), abs=0.01)
 
 
+def test_a_slow_model_that_fails_along_the_free_number_has_no_margin() -> None:
+    # expansions were fitted to no rows at all, and the run ended with a traceback
+    few = {"cost": "10 s", "budget": {"time": "1 h", "evaluations": 64}, "on_failure": "bound"}
+    margins = {"solve": "a", "between": [5.9, 60.0], "for_probability": [0.1]}
+    run = uqsphere.run(
+        study(analysis=few, margins=margins, inputs={"a": 5.0, "b": NORMAL}),
+        lambda x: {"y": np.where(x["a"] > 5.5, np.nan, x["b"])},
+    )
+    assert not [row for row in run.results.answers if row.answer == "margin"]
+
+
 def indices_hold(run: Run, truths: Mapping[str, float]) -> bool:
     """Whether the first indices of y hold the truths, by input."""
     rows = {row.at: row for row in run.results.answers if row.answer == "sobol_first"}

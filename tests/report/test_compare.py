@@ -45,6 +45,19 @@ def test_decisions_come_first_and_answers_have_units(before: Run) -> None:
     assert lines[answers + 1].endswith("(+20 %)")
 
 
+def test_margins_in_other_units_are_other_answers(before: Run) -> None:
+    # a margin as a drop height was listed in the metres per second of the other run
+    rows = [
+        row.model_copy(update={"unit": "m"}) if row.answer == Kind.MARGIN else row
+        for row in before.results.answers
+    ]
+    heights = Run(results=before.results.model_copy(update={"answers": rows}))
+    table = compare([before, heights], ["a", "b"])
+    margins = table[table["answer"] == "margin"]
+    assert set(margins["unit"]) == {"m", "m/s"}
+    assert (margins["a"].isna() != margins["b"].isna()).all()
+
+
 def with_mean(run: Run, value: float, low: float, high: float) -> Run:
     """A run with another mean of p_max."""
     rows = [

@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from uqsphere import history, load_study
+from uqsphere.quantities import lookup
 from uqsphere.report import page_files
+from uqsphere.report.history import history_rows
 from uqsphere.report.sentences import decision_texts
 from uqsphere.results import Run
 from uqsphere.results.types import Results
@@ -39,6 +41,17 @@ def test_a_page_leaves_the_figures_of_the_user_as_they_are() -> None:
         assert plt.get_backend() == "pdf"
     finally:
         plt.switch_backend(before)
+
+
+def test_an_impact_shows_the_numbers_that_were_given() -> None:
+    # its rows were those of the means, whatever the speed
+    study = load_study(STUDIES / "granite.toml")
+    slow, fast = (
+        dict(history_rows(history(study, {"striker.speed": speed}, points=200)))
+        for speed in (0.5, 1.0)
+    )
+    peak = lookup("p_max").meaning
+    assert float(fast[peak].split()[0]) > 1.2 * float(slow[peak].split()[0])
 
 
 def test_a_study_shows_inputs_and_strengths() -> None:

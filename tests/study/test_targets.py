@@ -20,6 +20,12 @@ def limits(**targets: object) -> dict[str, object]:
         ({"a": {}, "b": {"target": 0.2}, "c": {"target": 0.05}}, None, 0.05),
         ({"a": {}, "b": {"target": 0.2, "aim": "break"}}, None, 0.01),
         ({"a": {}}, {"solve": "x", "between": [-1.0, 1.0], "for_probability": [0.3, 0.1]}, 0.1),
+        # at 0.75 of exceedance a quarter of the spheres that must break do not
+        (
+            {"a": {"aim": "break"}},
+            {"solve": "x", "between": [-1.0, 1.0], "for_probability": [0.5, 0.75]},
+            0.25,
+        ),
         ({"a": {}}, None, 0.01),
         ({"a": {"target": 0.4}, "b": {"target": 0.2}}, None, 0.4),
     ],

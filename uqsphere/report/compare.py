@@ -69,16 +69,18 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     """What `compare` lists, in its order."""
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    answers = dict[tuple[str, Kind, str], dict[int, Answer]]()
+    answers = dict[tuple[str, Kind, str, str], dict[int, Answer]]()
     for number, run in enumerate(runs):
         for row in run.results.answers:
             if row.answer in COMPARED:
-                answers.setdefault((row.subject, row.answer, str(row.at)), {})[number] = row
+                # margins of different free numbers are different answers
+                place = row.subject, row.answer, str(row.at), row.unit
+                answers.setdefault(place, {})[number] = row
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes = []
     for place, rows in sorted(answers.items()):
-        subject, answer, _ = place
+        subject, answer, *_ = place
         ends = ends_of(rows.get(number) or Range() for number in range(len(runs)))
         values, low, high = ends
         half_widths = 0.5 * np.nan_to_num(high - low)
@@ -92,8 +94,7 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
         relative = np.nan_to_num(difference / scale if scale else np.sign(difference))
         most = int(abs(relative).argmax())
         significant = abs(difference[most]) > math.hypot(half_widths[0], half_widths[most])
-        unit = next(iter(rows.values())).unit
-        changes.append(_Change(*place, unit, ends, relative[most], most, bool(significant)))
+        changes.append(_Change(*place, ends, relative[most], most, bool(significant)))
     return sorted(changes, key=lambda row: (not row.significant, -abs(row.change)))
 
 

@@ -46,21 +46,26 @@ if TYPE_CHECKING:
 
 @frozen(eq=False, repr=False)
 class Course(History):
-    """The course of one scene, which shows itself in a notebook."""
+    """The course of one scene, which shows itself in a notebook; `values` are the numbers that are
+    not at their mean.
+    """
 
     study: Study
+    values: Mapping[str, float]
 
     def _repr_html_(self) -> str:
         """What a person asks of the scene, and its figures."""
-        rows = history_rows(self.study, self)
-        table = PageTable("One impact, every number at its mean", ("", "value"), rows)
+        title = "One impact, every number at its mean"
+        if self.values:
+            title = "One impact at the numbers that were given, all others at their mean"
+        table = PageTable(title, ("", "value"), history_rows(self))
         pictures = dict(_pictures(self.study, self))
         return render("notebook.html", title=self.study.title, tables=[table], pictures=pictures)
 
 
 def history(
     study: Study, values: Mapping[str, float] | None = None, *, points: int = 2000
-) -> History:
+) -> Course:
     """The course of one scene: every number at its mean, or as `values` (dotted path -> SI) give
     it.
 
@@ -97,24 +102,25 @@ def history(
             signals = [rod_record(motion, place, course.time) for place in ahead]
     except ValueError as error:
         raise UsageError(str(error)) from None
-    return Course(study=study, **{**vars(course), "gauges": tuple(signals)})
+    gauges = tuple(signals)
+    return Course(study=study, values=values or {}, **{**vars(course), "gauges": gauges})
 
 
-def history_rows(study: Study, course: History) -> list[tuple[str, str]]:
+def history_rows(course: Course) -> list[tuple[str, str]]:
     """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
     bars.
     """
-    return list(_rows(study, course))
+    return list(_rows(course.study, course))
 
 
-def _rows(study: Study, course: History) -> Iterator[tuple[str, str]]:
+def _rows(study: Study, course: Course) -> Iterator[tuple[str, str]]:
     yield "mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}"
     by_wave = RIGS[study.rig].by_wave
     if by_wave and math.isfinite(course.pulse_number):
         yield "theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"
-    scene = scene_of(study, {}, 1)
-    names = [name for name in OUTPUTS if not absent_in(scene, name)]
-    answers = evaluate_scene(study, (), np.zeros((1, 0)), names)
+    names = [name for name in OUTPUTS if not absent_in(course.motion.scene, name)]
+    row = np.array([[*course.values.values()]], dtype=float)
+    answers = evaluate_scene(study, tuple(course.values), row, names)
     for name, number, late in zip(names, answers.values[0], answers.censored[0], strict=True):
         if np.isfinite(number):
             more = "more than " if late else ""

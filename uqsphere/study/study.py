@@ -317,12 +317,14 @@ def plain(value: Any) -> Json:
 def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -> float:
     """The target of a limit, or of an assumed failure mode, that has none of its own.
 
-    It is the least target of the study's limits of the same aim; without these the least of
-    `margins.for_probability`, and without margins `DEFAULT_TARGET`.
+    It is the least target of the study's limits of the same aim; without these the least
+    probability of failure at which `margins.for_probability` asks for a margin, and without margins
+    `DEFAULT_TARGET`.
     """
     targets = [limit.target for limit in limits if limit.has_target and limit.aim == aim]
     if not targets and margins is not None:
-        targets = list(margins.for_probability)
+        # a sphere that must break fails where its strength is not exceeded
+        targets = [1.0 - p if aim == "break" else p for p in margins.for_probability]
     return min(targets, default=DEFAULT_TARGET)
 
 

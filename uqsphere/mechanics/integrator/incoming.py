@@ -39,13 +39,19 @@ def incident(s, j):
 
 
 @compiled
+def now(lane):
+    """The time of a lane, and what differs from it by rounding alone."""
+    return lane.time + 1e-13 * (1.0 + lane.time)
+
+
+@compiled
 def enter_piece(s, j, rows):
     """Put the piece of the pulse that begins at or holds the time of a lane into it."""
     lane = s.lane[j]
     r = lane.number
     pieces = rows.coefficients.shape[1]
     piece = 0
-    while piece < pieces and rows.breaks[r, piece + 1] <= lane.time:
+    while piece < pieces and rows.breaks[r, piece + 1] <= now(lane):
         piece += 1
     lane.frequency = 0.0
     for k in range(4):
@@ -61,7 +67,7 @@ def next_break(s, j, rows):
     lane = s.lane[j]
     best = lane.end
     r = lane.number
-    near = lane.time + 1e-13 * (1.0 + lane.time)
+    near = now(lane)
     for k in range(rows.breaks.shape[1]):
         if near < rows.breaks[r, k] < best:
             best = rows.breaks[r, k]

@@ -633,7 +633,7 @@ def _jump(s, j, rows):
     lane = s.lane[j]
     lane.proposed *= GROWTH
     incoming.enter_piece(s, j, rows)
-    if lane.time >= rows.breaks[lane.number, -1] and lane.back == math.inf:
+    if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.back == math.inf:
         lane.steady = 0.0
     if not incoming.reflect_break(s, j):
         lane.fate = tracked.CROWDED
