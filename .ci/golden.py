@@ -1,8 +1,8 @@
 """What a reader sees of shipped studies, value and interval: made by one command, compared before
 and after a change.
 
-    python .ci/golden.py make OUT.json [STUDY...]      run the studies (all of STUDIES if none is
-    named) python .ci/golden.py compare BEFORE.json AFTER.json
+    python .ci/golden.py make OUT.json [STUDY...]    runs the studies, all of STUDIES without a name
+    python .ci/golden.py compare BEFORE.json AFTER.json
 
 A change is fine where intervals overlap and no width grows by more than half (exit code 0, else 1).
 """
@@ -27,7 +27,7 @@ STUDIES = (
     "ishigami",
 )
 MODELS = {"blackbox": "blackbox.py:model", "ishigami": "ishigami.py:ishigami"}
-#: loose, so that all twelve take a few minutes
+#: loose, so that all studies take a minute
 ACCURACY = "analysis.accuracy={ mean = 0.01, quantile = 0.05, sobol = 0.02, probability = 0.05 }"
 #: answers that stand on the page; curves and drivers are figures
 SEEN = (

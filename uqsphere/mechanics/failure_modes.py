@@ -1,9 +1,10 @@
 """The failure modes of a sphere, declared once: where fracture begins, and which criterion and
 library strength assess a mode that a study has no limit for.
 
-A new mode needs an entry of `FAILURE_MODES`; its strength in ``materials.toml``, without which a
-material is not assessed; and, unless there is one, its criterion: an entry of ``criteria.toml`` and
-a formula in `criteria.FORMULAS`.
+A new mode needs an entry of `FAILURE_MODES`; its strength, unless another mode has it, in
+`materials.PROPERTIES` and in ``materials.toml``, without which a material is not assessed; and,
+unless there is one, its criterion: an entry of ``criteria.toml`` and a formula in
+`criteria.FORMULAS`.
 """
 
 from collections.abc import Iterable

@@ -1,9 +1,9 @@
 """Families of probability laws: one row each in `FAMILIES`, which is all that a new distribution
-takes.
+of a known standard form takes.
 
 A row says which keys a study gives, and makes of them a location, a scale and the standard form
-(`forms`) of y = (x - location)/scale.  Labels, the schema, the tables of the docs and fits to
-observations follow from the rows.
+(`forms`) of y = (x - location)/scale.  Labels, the schema and the tables of the docs follow
+from the rows; what is fitted to observations stands in `fitting`.
 """
 
 from __future__ import annotations

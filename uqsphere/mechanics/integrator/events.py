@@ -354,7 +354,8 @@ def _spring_end(s, m, end):
         return math.inf
     if s.x[0, m] < largest * (1.0 - ARMED):
         return passage(s, m, largest, 1.0, 0.0, end)
-    # from its largest approach a spring goes down, but for a dip of a turn that hardly was one
+    # from its largest approach a spring goes down; after a shallow turn it may come up through it
+    # again within the step
     width = end / POINTS
     for i in range(1, POINTS + 1):
         above, above_rate = approach_of(s, m, i * width)
@@ -406,7 +407,9 @@ def _virgin_end(s, m, end):
 
 @compiled
 def _note_loss(s, j, ends):
-    """How far the error of the approach moves a loss of contact; whether it may undo it."""
+    """How far the error of the approach moves a loss of contact, and whether it may undo it: then
+    `grazed` is 0; it is the time of the loss where the approach went straight through.
+    """
     lane = s.lane[j]
     rate, bow = _bend_of(s, lane.side * LANES + j, ends)
     lane.blur = lane.faint * s.h[j] / -rate
@@ -417,7 +420,7 @@ def _note_loss(s, j, ends):
     if depth < lane.faint:
         lane.grazed = 0.0
     elif lane.lost - lane.grazed < 2.0 * lane.blur:
-        lane.grazed = lane.lost  # it went straight through
+        lane.grazed = lane.lost
 
 
 @compiled

@@ -15,14 +15,15 @@ lane one step:
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
     events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
-    turn      the end of the record (`_fate`, `_judge`), or the next state (`_move_on`), the next
-              jump of the waves (`_jump`) and length; a lane that is done leaves (`_leave`)
+    turn      the next state (`_move_on`) and length (`_propose`), the end of the record (`_fate`),
+              the next jump of the waves (`_jump`); whether anything is left to learn, and room for
+              it (`_judge`); a lane that is done leaves (`_leave`)
 
-A record ends at the horizon; between infinite bars once both forces stay below a share of the
-largest; of a rig once all gaps grow and no echo can close them.  It ends sooner where nothing that
-is wanted can change any more: no largest value can grow under a steady wave
-(`records.no_later_peak`); or, at a loss of contact, no approach can (`records.no_higher_approach`)
-or no wave can press harder (`records.no_harder_squeeze`).
+A record ends at the horizon; between infinite bars without one, once the pulse is over, when both
+forces are below a share of the largest for the first time; of a rig once all gaps grow and no echo
+can close them.  It ends sooner where nothing that is wanted can change any more: no largest value
+can grow under a steady wave (`records.no_later_peak`); or, at a loss of contact, no approach can
+(`records.no_higher_approach`) or no wave can press harder (`records.no_harder_squeeze`).
 
 What a lane knows are the fields of `tracked.LANE` and its columns of `tracked.STATE`, with their
 units and who writes them.
@@ -190,6 +191,7 @@ def _enter(s, j, r, rows):
         s.inverse_mu[j] = 0.0
     lane.end = rows.horizon[r]
     lane.pulse_end = rows.pulse_end[r] * (1.0 - 1e-12)
+    # first guesses: scales that are too small cost steps, too large ones accuracy
     s.size[0, j] = level
     s.size[1, j] = 0.1 * level
     s.size[2, j] = level
@@ -281,10 +283,10 @@ def _try_step(s, j):
     scale = min(s.size[0, j], s.size[2, j])
     largest = max(s.size[0, j], s.size[2, j])
     if lane.touching:
-        # the error of `step_from_touch`, a few thousandths of the force's impulse, is what limits a
-        # touch
+        # `step_from_touch` errs by a few thousandths of the impulse of the force, 0.4 h^2.5 where
+        # the approach rises as the time does
         brief = (1e2 * s.error[j] * min(1.0, 1.0 / lane.quickest) * scale) ** 0.4
-        # the wave that presses has to be followed as well
+        # and by the wave that presses, which may bend over what is left up to its next jump
         smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (lane.stop - lane.time)
         lane.proposed = min(lane.proposed, min(brief, smooth))
     s.h[j] = min(min(lane.proposed, lane.stop - lane.time), lane.back)
@@ -302,8 +304,9 @@ def _try_step(s, j):
     s.wrong_allowed[j] = parts * s.error[j] * min(scale, allowed)
     if s.mode == LINEAR:
         s.wrong_allowed[j] = math.inf
-    # an approach errs by less than the tolerance; in a row that is looked at again all steps may
-    # err one way
+    # `faint` is the error of an approach, less than the tolerance; in a row that is looked at again
+    # all steps may err one way.  Below `near` a loss of contact is looked for; only a face that has
+    # been well above both (`touched`) can lose it
     steps = 0
     if s.tolerance < s.requested:
         steps = lane.count
@@ -372,7 +375,7 @@ def _against_branch(s, j):
     for face in range(2):
         m = face * LANES + j
         rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
-        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[0, j]):
+        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[2 * face, j]):
             wrong |= 1 << face
     return wrong
 

@@ -317,7 +317,8 @@ def _stays_pressed(s, j):
     then (x_1 + x_2)/2, (Q2).
 
     The difference of the approaches swings with the frequency sqrt(3 k sqrt(m)/mu) about their mean
-    m.  While m falls its amplitude grows no faster than 1/m^(1/8), by a half until the record ends.
+    m.  Its energy over its frequency stays (an adiabatic invariant): the amplitude grows as
+    1/m^(1/8), by a half until m has fallen to where the record ends.
     """
     lane = s.lane[j]
     b = LANES + j

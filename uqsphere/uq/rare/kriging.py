@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import NORMAL, Estimate, absent, bounded, count_bound
+from uqsphere.uq.estimate import LEFT_OUT, NORMAL, Estimate, absent, bounded, count_bound
 from uqsphere.uq.points import random_generator
 
 from .mixture import draw, standard_normal, wide_mixture
@@ -104,7 +104,7 @@ def by_kriging(
     size = plain.answers.size
     if estimate is None:
         failures = np.nansum(evaluator.mass(plain.points, plain.answers))
-        high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 0.95))
+        high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 1.0 - LEFT_OUT))
         reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
         return replace(absent(reason, METHOD, evaluator.count, below=high), high_unseen=high)
     return replace(estimate, high_unseen=min((estimate.high or 1.0) + count_bound(size), 1.0))
