@@ -110,12 +110,14 @@ def judge(
         line = line_of(design, tables)
         settled = None
         if line is not None:
-            grows = tables.surrogate is None and tables.stopped != "interrupted"
-            settled = (settling.accurately if grows else settling.once)(aim, line)
-            if grows and planned is not None and _fails_between(settled, plan, planned):
-                with suppress(Interrupted):
-                    line = refined(settled.line, model, {planned: plan.line.rows.count})
-                    settled = settling.accurately(aim, line)
+            if tables.surrogate is not None or tables.stopped == "interrupted":
+                settled = settling.once(aim, line)
+            else:
+                settled = settling.accurately(aim, line)
+                if planned is not None and _turns_back(settled, plan, planned):
+                    with suppress(Interrupted):
+                        line = refined(settled.line, model, {planned: plan.line.rows.count})
+                        settled = settling.accurately(aim, line)
             if tables.line:
                 tables = replace(tables, line=settled.line.samples)
         probability = _at_plan(tables, Curves(aim=replace(aim, modes=()), line=plan.line))
@@ -134,16 +136,17 @@ def judge(
     return judged, tables
 
 
-def _fails_between(settled: Settled, plan: Settled, planned: float) -> bool:
-    """Whether the plan misses a target on the side that the curve calls safe: the curve turns back
-    between its values.
+def _turns_back(settled: Settled, plan: Settled, planned: float) -> bool:
+    """Whether the curve turns back between its values, so that the plan misses a target on the side
+    that the curve calls safe.
     """
     number = settled.number
     line = settled.line
     if number is None or not line.values[0] < planned < line.values[-1]:
         return False
-    if math.isfinite(number) and (planned < number) == settled.least:
-        return False
+    safe_below = not settled.least
+    if math.isfinite(number) and (planned < number) != safe_below:
+        return False  # nor does the curve call the plan safe
     for limit in settled.aim.limits:
         (p,) = plan.middle(limit)
         away = abs(p - line.at(settled.middle(limit), planned))
