@@ -119,7 +119,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     if free is None:
         return PageTable()
     sign = 1.0
-    if decision.use is not None and is_least(decision):
+    if is_least(decision):
         sign = -1.0
 
     def order(doubt: Doubt) -> float:

@@ -205,7 +205,7 @@ class Corrected:
         )
         table = np.array([below(np.sort(values)) for values in predicted])
         influence = np.subtract(outputs[:, None] <= places, levels[:, None] <= places, dtype=float)
-        value, low, high = _probability(table, influence, expected, 1.0 / len(places))
+        value, low, high = _probability(table, influence, expected, 1.0 / predicted.shape[1])
         value = np.mean(rising(value), axis=0)
         return places, value, np.minimum(rising(low)[0], value), np.maximum(rising(high)[1], value)
 
