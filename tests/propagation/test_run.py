@@ -439,6 +439,7 @@ def test_a_slow_model_that_fails_along_the_free_number_has_no_margin() -> None:
         lambda x: {"y": np.where(x["a"] > 5.5, np.nan, x["b"])},
     )
     assert not [row for row in run.results.answers if row.answer == "margin"]
+    assert "no margins" in next(c.text for c in run.results.checks if c.name == "no_margin")
 
 
 def indices_hold(run: Run, truths: Mapping[str, float]) -> bool:

@@ -84,6 +84,16 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
             text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
             effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
         )
+        margins = design.study.margins
+        if margins is not None and margins.limit is None and not tables.line:
+            yield Check(
+                name="no_margin",
+                share=1.0,
+                grade="note",
+                text=f"no margins: along {margins.solve} the runs are too few for expansions, these "
+                "leave too much of the variance, or the model fails",
+                effect="more runs, or a narrower margins.between, may give them",
+            )
     yield from _heavy_tails(design, tables)
 
 
