@@ -90,8 +90,8 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
                 name="no_margin",
                 share=1.0,
                 grade="note",
-                text=f"no margins: along {margins.solve} the runs are too few for expansions, these "
-                "leave too much of the variance, or the model fails",
+                text=f"no margins: along {margins.solve} the runs are too few for expansions, "
+                "these leave too much of the variance, or the model fails",
                 effect="more runs, or a narrower margins.between, may give them",
             )
     yield from _heavy_tails(design, tables)
