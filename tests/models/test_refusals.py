@@ -115,6 +115,11 @@ REASONS: dict[str, tuple[Callable[[], object], str, Callable[[], object]]] = {
         "a user model needs a black-box study",
         lambda: Model(BOX),
     ),
+    "an executor of a scene": (
+        lambda: Model(PRESS, executor=object()),
+        "an executor takes the model runs of a black box",
+        lambda: Model(PRESS, good),
+    ),
     "a limit elsewhere": (
         lambda: Model(LIMITED, good, executor=object()),
         "Remove analysis.time_limit or the executor",

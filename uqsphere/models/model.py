@@ -78,6 +78,11 @@ class Model:
                 "a user model needs a black-box study ([inputs] and [outputs]); this study "
                 "describes an impact scene"
             )
+        if not study.black_box and self.executor is not None:
+            raise UsageError(
+                "an executor takes the model runs of a black box; the impact model runs in this "
+                "process, on its threads"
+            )
         if self.executor is not None and study.analysis.time_limit is not None:
             raise UsageError(
                 "analysis.time_limit needs local processes, which can be ended. Remove "
