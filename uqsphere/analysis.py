@@ -37,7 +37,7 @@ from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, so
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.rows import LARGEST, SMALLEST, as_answers, check_rows, too_small
+from uqsphere.uq.rows import LARGEST_ANSWER, SMALLEST_ANSWER, as_answers, check_rows, too_small
 from uqsphere.uq.surrogate import (
     Expansion,
     columns_of,
@@ -161,9 +161,10 @@ def _arrays(x: Any, y: Any, laws: Joint) -> tuple[Array, Array]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():
         raise UsageError("y must be finite: leave rows without an answer out")
-    if too_small(values) or np.abs(values).max(initial=0.0) > LARGEST:
+    if too_small(values) or np.abs(values).max(initial=0.0) > LARGEST_ANSWER:
         raise UsageError(
-            f"y must lie between {SMALLEST:g} and {LARGEST:g}: give it in another unit"
+            f"y must lie between {SMALLEST_ANSWER:g} and {LARGEST_ANSWER:g}: give it in another "
+            "unit"
         )
     check_rows(rows, laws)
     return each_once(rows, values)

@@ -15,7 +15,7 @@ from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError, as_text, tell
 from uqsphere.quantities import INPUTS, OUTPUTS
 from uqsphere.study import Study
-from uqsphere.uq.rows import LARGEST
+from uqsphere.uq.rows import LARGEST_ANSWER
 
 from .black_box import BlackBox, identity_of, read_model
 from .cache import Cache
@@ -244,7 +244,7 @@ class Model:
         whole[:, [self.inputs.index(name) for name in names]] = rows
         answers, failures, self._together = answer_rows(self, whole, cache)
         values = answers[:, [self.outputs.index(name) for name in columns]]
-        usable = np.abs(values) <= LARGEST
+        usable = np.abs(values) <= LARGEST_ANSWER
         failed = ~usable.all(axis=1)
         note = ""
         if failed.any():

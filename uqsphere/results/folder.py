@@ -40,7 +40,7 @@ LARGEST = 64 << 20
 
 
 @contextlib.contextmanager
-def _granted(path: Path) -> Iterator[None]:
+def _accessing(path: Path) -> Iterator[None]:
     """Raise AccessError where the system refuses what is done with a path."""
     try:
         yield
@@ -55,7 +55,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises FolderError where it is no result folder or another run has it, AccessError where the
         system refuses.
     """
-    with _granted(folder):
+    with _accessing(folder):
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         folder.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     contents[SUMS] = "".join(
         f"{digest}  {name}\n" for name, digest in sorted(sums.items())
     ).encode()
-    with _granted(folder):
+    with _accessing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
             dir=folder, prefix=PART, ignore_cleanup_errors=True
@@ -135,7 +135,7 @@ def read_checked(folder: Path, name: str) -> bytes:
     read.
     """
     path = folder / name
-    with _granted(path):
+    with _accessing(path):
         if path.is_symlink() or not path.is_file():
             raise FolderError(f"{as_text(folder)} does not contain {name}")
         content = path.read_bytes()

@@ -44,7 +44,7 @@ MOST = 0.25
 REJECTED = 0.99
 LOOKED = 1024
 #: standard deviation of a fold without a finite variance
-LARGEST = 1e150
+LARGEST_SD = 1e150
 #: share of a variance that expansions of an exact polynomial differ by
 ROUNDING = 1e-9
 
@@ -258,7 +258,7 @@ def _bounded(response: Response) -> Response:
     if response.constant or not whole > 0.0:
         return response
     # a fold that runs away may have no finite variance
-    variances = np.minimum([moments.sd for moments in response.integrals], LARGEST) ** 2
+    variances = np.minimum([moments.sd for moments in response.integrals], LARGEST_SD) ** 2
     squares = (y - y.mean()) ** 2
     influence = squares - (response.levels - y.mean()) ** 2
     # folds share most of their rows, so that unlucky rows contradict all of them at once

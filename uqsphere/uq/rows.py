@@ -38,12 +38,12 @@ UNITS = {
 
 #: answers between whose sizes fourth powers, of which the scatter of a variance is made, are
 #: numbers
-SMALLEST, LARGEST = 1e-75, 1e75
+SMALLEST_ANSWER, LARGEST_ANSWER = 1e-75, 1e75
 
 
 def too_small(values: Array) -> bool:
     """Whether the scatter of answers (n,) vanishes in floating point."""
-    return bool(np.abs(values).max(initial=0.0) < SMALLEST and np.ptp(values) > 0.0)
+    return bool(np.abs(values).max(initial=0.0) < SMALLEST_ANSWER and np.ptp(values) > 0.0)
 
 
 def as_table(rows: Any, names: Sequence[str]) -> Any:
