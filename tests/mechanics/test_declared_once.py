@@ -47,6 +47,7 @@ def test_a_new_failure_mode_is_one_entry(tmp_path: Path, monkeypatch: pytest.Mon
     mode = FailureMode(
         place="below",
         name="subsurface crushing",
+        gloss="rock is crushed below a contact",
         criterion="subsurface_shear",
         strength="contact_strength",
     )

@@ -99,14 +99,22 @@ def test_the_probability_by_what_governs_comes_first(granite: Results) -> None:
 
 
 def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Results) -> None:
-    library = LibraryRange(mode="core tension", middle=0.122, weak=0.064, strong=0.27, own=0.65)
+    library = LibraryRange(mode="core tension", middle=0.122, weak=0.064, strong=0.27)
+    own = Doubt(
+        code="tie",
+        subject="limits.crushing",
+        target=0.01,
+        margin=0.65,
+        at_plan=Range(value=0.008),
+    )
     text = DecisionText(
         granite,
         decision(
             governing="modes.core tension",
             verdict="not established",
             use=used(0.122),
-            own=0.65,
+            own=own,
+            all_modes=Range(value=0.97),
             library=library,
             caveats=[Caveat(code="assumed strength", subject="modes.core tension")],
             next=Remedy(code="measure the strength", subject="modes.core tension", at_best=0.42),
@@ -115,7 +123,13 @@ def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Res
     assert text.use == "Use at most 0.12 m/s"
     assert "no margin" in text.sentence
     assert "(its weak end: 0.064 m/s, its strong end: 0.27 m/s)" in text.sentence
-    assert "By your own limits: at most 0.65 m/s." in text.sentence
+    assert "By your own limits: at most 0.65 m/s (strength independent of the inputs)." in (
+        text.sentence
+    )
+    assert (
+        "97 % with all failure modes, 0.2 % by your own limits as computed (0.8 %: strength "
+        "independent of the inputs)"
+    ) in text.broken
     assert len(f"{text.use}. {text.sentence}".split()) <= 45
     assert text.open == ["core tension rests on a strength of the library, not of this rock"]
     assert text.next.startswith("Measure the tensile strength (core tension)")
@@ -223,12 +237,22 @@ def test_what_a_number_of_tests_buys_is_told(granite: Results) -> None:
 
 
 def test_no_number_says_by_which_limit(granite: Results) -> None:
-    text = DecisionText(granite, decision(use=None, blocked_by="modes.ring crack", own=0.65))
+    own = Doubt(code="computation", subject="limits.crushing", target=0.01, margin=0.65)
+    text = DecisionText(granite, decision(use=None, blocked_by="modes.ring crack", own=own))
     assert text.use == "No value to use"
     assert "Ring crack exceeds its target everywhere between 50 mm/s" in text.sentence or (
         "Ring crack exceeds its target everywhere between 0.05 m/s and" in text.sentence
     )
     assert "By your own limits: at most 0.65 m/s." in text.sentence
+
+
+def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -> None:
+    caveats = [
+        Caveat(code="rate", subject=f"limits.{name}", text=f"slow tests: set limits.{name}.rate_0")
+        for name in ("force", "energy")
+    ]
+    text = DecisionText(granite, decision(caveats=caveats))
+    assert text.open == ["slow tests: set limits.force.rate_0 and set limits.energy.rate_0"]
 
 
 def test_synthetic_tests_of_several_limits_are_one_clause(granite: Results) -> None:
@@ -288,7 +312,8 @@ def test_a_failure_mode_that_is_damage_is_named_below_the_table(granite: Results
         code="assumed strength", subject="modes.ring crack", counts=False, target=0.01, margin=0.18
     )
     damaged = granite.model_copy(update={"decisions": [decision(doubts=[doubt])]})
-    assert "damage, not counted as fracture: ring crack" in summary(damaged)
+    text = summary(damaged).replace("\n", " ")
+    assert "damage, not counted as fracture: ring crack" in text
 
 
 def test_draws_of_a_fit_are_a_posterior_distribution() -> None:

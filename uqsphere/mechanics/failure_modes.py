@@ -18,7 +18,8 @@ from uqsphere.units import Quantity
 class FailureMode:
     """One failure mode.
 
-    place: where fracture begins, as `failure_place` has it.  criterion: key of `CRITERIA` assumed
+    place: where fracture begins, as `failure_place` has it.  gloss: what happens, in a clause for
+    who does not know the name.  criterion: key of `CRITERIA` assumed
     for it.  strength: property of the material library.  size_law: how that strength depends on
     size: `volume`, a Weibull strength of a reference volume; `particle`, a median that depends on
     the diameter; empty, not at all.  damage: whether the mode damages the surface, in place of
@@ -27,6 +28,7 @@ class FailureMode:
 
     place: str
     name: str
+    gloss: str
     criterion: str
     strength: str
     size_law: Literal["", "volume", "particle"] = ""
@@ -53,12 +55,14 @@ FAILURE_MODES = modes_by_place(
         FailureMode(
             place="contact",
             name="contact crushing",
+            gloss="rock is crushed under a contact",
             criterion="contact_pressure",
             strength="contact_strength",
         ),
         FailureMode(
             place="rim",
             name="ring crack",
+            gloss="a crack in the surface around a contact",
             criterion="ring_crack",
             strength="fracture_toughness",
             damage=True,
@@ -66,6 +70,7 @@ FAILURE_MODES = modes_by_place(
         FailureMode(
             place="core",
             name="core tension",
+            gloss="the sphere splits by the tension inside it",
             criterion="weakest_link_volume",
             strength="tensile_strength",
             size_law="volume",
@@ -73,6 +78,7 @@ FAILURE_MODES = modes_by_place(
         FailureMode(
             place="energy",
             name="fracture energy",
+            gloss="the impact stores more energy than particles of this rock bear",
             criterion="specific_energy",
             strength="fracture_energy",
             size_law="particle",

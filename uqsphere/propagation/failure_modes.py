@@ -23,12 +23,10 @@ from uqsphere.quantities import format_value, lookup
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, default_target
 from uqsphere.study.values import Tested
-from uqsphere.uq import Law, make_law
+from uqsphere.uq import Law, make_law, student
 
 #: a strength, or a distribution, that makes the tests less probable than this is refuted
 REFUTED = 0.05
-#: standard deviations from the middle of the library's 95 % ranges to their ends
-_RANGE_DEVIATIONS = 1.959963984540054
 
 
 @frozen
@@ -130,7 +128,7 @@ def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> s
 def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode:
     """A failure mode with the library strength of a material, for spheres of the mean diameter."""
     entry = material.properties[mode.strength]
-    spread = math.exp(_RANGE_DEVIATIONS * entry.cov)
+    spread = math.exp(student(math.inf) * entry.cov)
     ends = entry.range or (entry.value / spread, entry.value * spread)
     parameters: dict[str, float] = {}
     criterion = None

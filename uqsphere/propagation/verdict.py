@@ -31,7 +31,7 @@ from uqsphere.results.types import (
     VerdictWord,
 )
 from uqsphere.study import Limit
-from uqsphere.uq import Estimate, Law, from_replicates, target_met
+from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
 
 from .checks import Check, caveats_of
@@ -208,13 +208,11 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     lead = judged.lead
     caveats = [*caveats_of(settled, judged.settling.yielding, checks)]
     verdict = _verdict(judged, caveats)
-    alone = settled
-    if judged.line is not None and aim.modes:
-        alone = judged.settling.once(replace(aim, modes=()), settled.line)
-    library = _library(judged, alone)
-    target = all_modes = None
+    library = _library(judged)
+    target = all_modes = own = None
     curve = []
     if judged.line is not None:
+        own = _own(judged)
         points = zip(settled.line.values, aim.failure(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
@@ -234,7 +232,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         governing=subject,
         use=_use(judged, library),
         blocked_by=subject if judged.line is not None and settled.number is None else "",
-        own=alone.number,
+        own=own,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
         curve=curve,
@@ -297,7 +295,23 @@ def _band(settled: Settled) -> list[CurvePoint]:
     return []
 
 
-def _library(judged: Judged, alone: Settled) -> LibraryRange | None:
+def _own(judged: Judged) -> types.Doubt:
+    """What sets the number to use where the study's own limits are judged alone."""
+    alone = replace(judged.aim, modes=())
+    once = judged.settling.once
+    plan = once(alone, judged.plan.line)
+    judged = replace(
+        judged,
+        plan=plan,
+        line=once(alone, judged.settled.line),
+        all_modes=judged.probability,
+    )
+    setting = judged.settled.setting
+    at_plan = next((doubt.curve[0] for doubt in plan.doubts if doubt.key == setting.key), None)
+    return _row(judged, setting, at_plan)
+
+
+def _library(judged: Judged) -> LibraryRange | None:
     """What the library's range of a failure mode that governs would make of the number."""
     settled = judged.settled
     aim = judged.aim
@@ -312,9 +326,7 @@ def _library(judged: Judged, alone: Settled) -> LibraryRange | None:
         taken = replace(rest, modes=(*rest.modes, other))
         numbers.append(judged.settling.once(taken, settled.line).number)
     weak, strong = numbers
-    return LibraryRange(
-        mode=mode.called, middle=settled.number, weak=weak, strong=strong, own=alone.number
-    )
+    return LibraryRange(mode=mode.called, middle=settled.number, weak=weak, strong=strong)
 
 
 # --- the certificate ------------------------------------------------------------------------------
@@ -500,7 +512,10 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
             at = "tests"
         low, high = sorted(aim.failure(end)[0] for end in (doubt.curve, doubt.opposite))
         value = np.clip(aim.failure(judged.plan.middle(limit))[0], low, high)
-        note = "95 % range over the strengths that the tests allow, with the other failure modes"
+        note = (
+            f"{LEVEL_TEXT} range over the strengths that the tests allow, with the other failure "
+            "modes"
+        )
     yield number_row(
         subject,
         "failure_probability",

@@ -14,6 +14,7 @@ from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.results import Run
 from uqsphere.results.types import Answer, InputEntry, Kind, Range
+from uqsphere.uq import LEVEL_TEXT
 
 from .format import DASH, change_text, ends_of, label, meaning, plain_name, value
 from .sentences import DecisionText
@@ -119,7 +120,9 @@ def comparison_text(runs: Sequence[Run], names: Names) -> str:
     if len(sure) > MOST:
         lines.append(f"  ... {len(sure) - MOST} more; --csv has all")
     if len(moved) > len(sure):
-        lines.append(f"{len(moved) - len(sure)} more changed by less than their 95 % intervals")
+        lines.append(
+            f"{len(moved) - len(sure)} more changed by less than their {LEVEL_TEXT} intervals"
+        )
     if not any(np.isfinite(row.ends[0]).sum() > 1 for row in changes):
         lines.append("the runs have no answer in common: compare runs of one study")
     elif not moved:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, format_probability
 from uqsphere.results.types import QuantityEntry, Results
+from uqsphere.uq import LEVEL_TEXT
 
 from .format import probability, small, title_of, with_unit
 from .fragility import curves_of, draw_fragility, planned_value
@@ -61,11 +62,12 @@ STYLE: dict[str, Any] = {
 
 
 class Picture(NamedTuple):
-    """A figure of the page: its title, what it shows in words, and its SVG text."""
+    """A figure of the page: its title, what it shows in words, its SVG text, and a note."""
 
     title: str
     text: str
     svg: str
+    note: str = ""
 
 
 # --- SVG ------------------------------------------------------------------------------------------
@@ -194,7 +196,8 @@ def _sobol(columns: Sequence[Indices]) -> Picture:
         totals = zip(inputs, column.total[0], strict=True)
         texts.append(f"{column.name}: " + ", ".join(f"{name} {t:.2f}" for name, t in totals))
     text = f"Total Sobol’ indices; {'; '.join(texts)}"
-    return Picture("Sobol’ indices", text, picture_svg(draw, 480.0, height))
+    note = f"○ first order, ● total; {LEVEL_TEXT} intervals"
+    return Picture("Sobol’ indices", text, picture_svg(draw, 480.0, height), note)
 
 
 # --- plots on axes --------------------------------------------------------------------------------

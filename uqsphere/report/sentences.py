@@ -23,6 +23,7 @@ from uqsphere.results.types import (
     Shortfall,
     Stop,
 )
+from uqsphere.uq import LEVEL_TEXT
 
 from .format import (
     DASH,
@@ -110,8 +111,12 @@ class DecisionText:
         else:
             used = self.number(use.value)
             parts.append(self._governs)
-        if decision.own is not None and self.number(decision.own) != used:
-            parts.append(f"By your own limits: {self._allowed(decision.own)}.")
+        own = decision.own
+        if own is not None and own.margin is not None and self.number(own.margin) != used:
+            text = f"By your own limits: {self._allowed(own.margin)}"
+            if own.code != "computation":
+                text += f" ({_words(own)[1]})"
+            parts.append(f"{text}.")
         return " ".join(filter(None, parts))
 
     @property
@@ -140,6 +145,12 @@ class DecisionText:
             text += f"{alone}, by your own limits and with {all_modes(decision)}"
         else:
             text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
+            own = decision.own
+            governs = [(doubt.subject, doubt.code) for doubt in self._governing]
+            if own is not None and (own.subject, own.code) not in governs:
+                at_plan = plain_probability(as_event(decision.aim, own.at_plan))
+                if own.code != "computation" and at_plan != alone:
+                    text += f" as computed ({at_plan}: {_words(own)[1]})"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self._target}."
@@ -274,11 +285,17 @@ class DecisionText:
     def _reasons(self) -> Iterator[str]:
         decision = self.decision
         synthetic = []
+        rates: dict[str, list[str]] = {}  # what is said of several limits, and the way out of each
         for caveat in decision.caveats:
             if caveat.code == "synthetic tests":
                 synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
+            elif caveat.code == "rate":
+                reason, _, way = caveat.text.rpartition(": ")
+                rates.setdefault(reason, []).append(way)
             else:
                 yield caveat_text(caveat)
+        for reason, ways in rates.items():
+            yield f"{reason}: {listed(ways)}"
         if synthetic:
             yield f"the tests of {listed(synthetic)} are synthetic, not measured"
         if decision.verdict == "undecided":
@@ -368,9 +385,9 @@ def limit_notes(results: Results) -> Iterator[str]:
     stated = [name for name, entry in entries if entry.fracture and not entry.tests]
     if stated:
         names = listed(stated)
-        yield f"strength stated without tests, its uncertainty in no range here: {names}"
+        yield f"strength without tests, uncertainty not included: {names}"
     if results.study.modes:
-        yield "* assumed: library strength, not measured on this rock"
+        yield "* library strength, not measured on this rock"
     damage = _damage_modes(results.decisions)
     if damage:
         yield f"damage, not counted as fracture: {listed(damage)}"
@@ -421,7 +438,7 @@ def _words(doubt: Doubt) -> tuple[str, str]:
     words = {
         "computation": (
             "with the sampling uncertainty of the run",
-            "as computed (95 % sampling interval)",
+            f"as computed ({LEVEL_TEXT} sampling interval)",
         ),
         "tests": (
             f"with what its {doubt.tests} tests leave open",

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
+from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_probability, format_together
 from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
@@ -19,6 +20,7 @@ from uqsphere.results.types import (
     MarginNote,
     Results,
 )
+from uqsphere.uq import LEVEL_TEXT
 
 from .format import (
     DASH,
@@ -187,6 +189,8 @@ def limits(results: Results) -> PageTable:
             "open, which gives the range and what governs"
         )
     notes += limit_notes(results)
+    modes = FAILURE_MODES.values()
+    notes += [f"{mode.name}: {mode.gloss}" for mode in modes if mode.name in results.study.modes]
     if any(entry.platens for entry in entries.values()):
         notes.append(
             "strengths from forces: tests and impact share E and size of the sphere, and the two "
@@ -231,9 +235,10 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     """The study's own limits together, and all failure modes, with their numbers to use."""
     number = DecisionText(results, decision).number
     use = decision.use
-    if decision.own is not None and decision.all_modes is not None:
+    own = decision.own
+    if own is not None and own.margin is not None and decision.all_modes is not None:
         p = probability(as_event(decision.aim, decision.probability))
-        yield "your own limits", p, "", "", number(decision.own), "", "", ""
+        yield "your own limits", p, "", "", number(own.margin), "", "", ""
     if use is not None:
         p = probability(joint_event(decision))
         best = value(use.best.value, use.path)
@@ -315,7 +320,7 @@ def quantities(results: Results) -> PageTable:
         "Distributions at the plan",
         ("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
         rows,
-        note="with 95 % sampling intervals",
+        note=f"with {LEVEL_TEXT} sampling intervals",
     )
 
 
@@ -339,7 +344,10 @@ def indices(results: Results) -> PageTable:
     if results.study.dependence and not ranked:
         rows.append(("none: tied inputs have no Sobol’ indices", *[DASH] * len(orders)))
     methods = {METHODS[entries[name].method_of_indices] for name in names}
-    note = "first order S: the input by itself; total T: with its interactions; 95 % intervals"
+    note = (
+        "first order S: the input by itself; total T: with its interactions; "
+        f"{LEVEL_TEXT} intervals"
+    )
     if len(ranked) > MOST_ROWS:
         note += f"; {len(ranked) - MOST_ROWS} more inputs are in answers.csv"
     heads = itertools.product(map(meaning, names), "ST")

@@ -25,7 +25,7 @@ def summary(results: Results, width: int = 79) -> str:
     lines = [
         *_wrapped(texts, width),
         *_columns(_limits(results), width),
-        *_wrapped(limit_notes(results), width),
+        *_wrapped(["; ".join(limit_notes(results))], width),
         *_columns(_paper(results), width),
         *_columns(_quantities(results), width),
         *_columns(_indices(results), width),

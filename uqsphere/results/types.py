@@ -415,8 +415,6 @@ class LibraryRange(Part):
     """number to use at the weak end of the library's range"""
     strong: Finite
     """number to use at the strong end"""
-    own: Finite
-    """number to use by the study's own limits only"""
 
 
 class TestsGain(Part):
@@ -508,8 +506,8 @@ class Decision(Part):
     """number to use; none without [margins] or where none is safe"""
     blocked_by: str = ""
     """limit or mode that is over its target everywhere"""
-    own: Finite = None
-    """number to use by the study's own limits only"""
+    own: Doubt | None = None
+    """what sets the number to use by the study's own limits only, which is its margin"""
     probability: Range
     """failure probability at the plan, by the study's limits"""
     all_modes: Range | None = None

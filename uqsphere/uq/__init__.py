@@ -16,7 +16,7 @@ moments, sampling, refusals, the schema and the table of docs/study-file.md foll
 line in PAIRS of tests/uq/test_laws.py.
 """
 
-from .estimate import Estimate, absent, exact, from_replicates, student
+from .estimate import ENDS, LEVEL_TEXT, Estimate, absent, exact, from_replicates, student
 from .forms import LawError
 from .joint import Dependence, Joint, make_joint
 from .law import Law, discrete_law, make_law
@@ -25,6 +25,8 @@ from .points import random_generator, sobol_points
 from .sample import Sample
 
 __all__ = [
+    "ENDS",
+    "LEVEL_TEXT",
     "Dependence",
     "Estimate",
     "Joint",

@@ -20,13 +20,12 @@ from uqsphere.arrays import Array, Flags, Values, frozen, special
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
 REPLICATES = 16
-#: probabilities of the two ends of every interval, and their level
-ENDS = (0.025, 0.975)
-LEVEL = ENDS[1] - ENDS[0]
-#: what a one-sided bound of this level leaves out
-LEFT_OUT = 2.0 * ENDS[0]
-#: the upper end of a standard normal variable
-NORMAL = 1.959963984540054
+#: what every interval and every one-sided bound leaves out; from it follow their level, as a number
+#: and in words, and the probabilities of the two ends of an interval
+LEFT_OUT = 0.05
+LEVEL = 1.0 - LEFT_OUT
+LEVEL_TEXT = f"{100.0 * LEVEL:g} %"
+ENDS = (0.5 * LEFT_OUT, 1.0 - 0.5 * LEFT_OUT)
 #: standard deviation of what may lie anywhere in a cell of length one
 CELL = 12.0**-0.5
 #: standard errors after which a difference is taken for one
@@ -89,7 +88,7 @@ class Estimate:
         if self.value is not None:
             low = min(low, self.value)
             high = max(high, self.value)
-        return replace(self, low=low, high=high, std_error=0.5 * (high - low) / NORMAL)
+        return replace(self, low=low, high=high, std_error=0.5 * (high - low) / student(math.inf))
 
     def holding(self, other: Estimate) -> Estimate:
         """The same with an interval that holds both."""
@@ -297,7 +296,7 @@ def share(flags: Flags, method: str = SHARE, *, weights: Values = 1.0) -> Estima
     p = float(flags.all())
     error = 0.0
     if p or not flags.any():
-        method += ", one-sided 95 % bound"
+        method += f", one-sided {LEVEL_TEXT} bound"
     elif replicates < 2:
         return absent(FEW_REPLICATES, method, flags.size)
     else:

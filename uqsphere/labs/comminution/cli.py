@@ -10,6 +10,7 @@ from typing import Any
 
 from uqsphere.documents import load_document
 from uqsphere.labs.files import chosen_command, csv_text, finish, table
+from uqsphere.uq import LEVEL_TEXT
 
 from .document import ComminutionDocument
 
@@ -86,9 +87,9 @@ def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -
 def _fit_text(content: dict[str, Any]) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
-    sizes = [
-        ["size", "tests", "E50 of the law", "95 %", "breaks half", "95 %", "breaks 1 %", "95 %"]
-    ]
+    sizes = [["size", "tests"]]
+    for answer in ("E50 of the law", "breaks half", "breaks 1 %"):
+        sizes[0] += [answer, LEVEL_TEXT]
     for size in content["sizes"]:
         row = [f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"])]
         for key in ("E50", "breaks_half", "breaks_1_percent"):
@@ -99,7 +100,7 @@ def _fit_text(content: dict[str, Any]) -> str:
         (name, f"{law['weight']:.0%}", f"{law['log_likelihood']:.2f}", f"{law['loo']:.2f}")
         for name, law in content["laws"].items()
     ]
-    names = [("parameter", "value", "95 %", "sd of the logarithm: prior, posterior")]
+    names = [("parameter", "value", LEVEL_TEXT, "sd of the logarithm: prior, posterior")]
     for name, parameter in content["parameters"].items():
         prior = "flat"
         if parameter["prior_sd"] is not None:
@@ -119,7 +120,7 @@ def _feed_text(content: dict[str, Any]) -> str:
         "P50 [m]": ("P50", 1e3, "mm"),
         **{name: (name, 100.0, "%") for name in ("broken", "never broken", "t10", "fines")},
     }
-    rows = [("answer", "value", "95 %")]
+    rows = [("answer", "value", LEVEL_TEXT)]
     for name, number in content["numbers"].items():
         words, factor, unit = shown.get(name, (name, 1.0, ""))
         rows.append((words, *_interval(number, factor, unit)))
@@ -131,7 +132,7 @@ def _feed_text(content: dict[str, Any]) -> str:
             f"{100 * lot['lot_sd']:.2g} % from the lot"
         )
         rows.append((f"broken in a lot of {lot['mass']:.4g} kg", value, spread))
-    classes = [("size", "mass", "broken", "95 %", "")]
+    classes = [("size", "mass", "broken", LEVEL_TEXT, "")]
     for row in content["classes"]:
         mark = "extrapolated" if row["extrapolated"] else ""
         broken = _interval(row["broken"], 100.0, "%")

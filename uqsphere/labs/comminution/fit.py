@@ -18,6 +18,7 @@ import numpy as np
 from uqsphere.arrays import Array, Places, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import csv_text
+from uqsphere.uq import ENDS
 
 from . import laws
 from .document import ComminutionDocument
@@ -371,7 +372,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
 
 def quantiles(values: Array) -> dict[str, float]:
     """Median and 95 % interval of draws."""
-    value, low, high = np.quantile(values[np.isfinite(values)], [0.5, 0.025, 0.975])
+    value, low, high = np.quantile(values[np.isfinite(values)], [0.5, *ENDS])
     return {"value": value, "low": low, "high": high}
 
 

@@ -13,7 +13,6 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
@@ -21,6 +20,7 @@ from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
 from uqsphere.materials import library
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
+from uqsphere.uq import student
 
 from .recorder import read_recorded
 
@@ -259,7 +259,7 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     def reach_of(first: int, behind: int) -> float:
         """Half the 95 % interval of the sum of some parameters; 0 for none."""
         variance = covariance[first:behind, first:behind].sum()
-        return float(stdtrit(spare, 0.975)) * math.sqrt(max(variance, 0.0))
+        return student(spare + 1.0) * math.sqrt(max(variance, 0.0))
 
     def interval(value: float, first: int, behind: int) -> Fitted:
         factor = math.exp(reach_of(first, behind))

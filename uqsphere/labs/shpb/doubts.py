@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from uqsphere.arrays import Array
+from uqsphere.uq import LEVEL_TEXT
 
 from .mending import Signal
 from .peaks import NORMAL, Peaks, stretch
@@ -148,7 +149,7 @@ def check_specimen(
             peaks.doubt([face], text, 2.0 * pressed)
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
-            peaks.doubt([face], f"poorly determined: its 95 % interval is ±{half:.0%}")
+            peaks.doubt([face], f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
         if strongest is not None and peak.low > strongest:
             text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
             peaks.doubt([face], text, strongest)

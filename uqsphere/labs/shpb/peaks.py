@@ -16,8 +16,10 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
 from uqsphere.arrays import Array
+from uqsphere.uq import student
 
-NORMAL = 1.959964
+#: half of an interval over its standard deviation
+NORMAL = student(math.inf)
 #: samples above 80 % of the largest force without which a record is too slow
 _FEW_ON_TOP = 8
 #: share of the largest force to which the force falls before the record ends

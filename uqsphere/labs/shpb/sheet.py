@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.labs.files import csv_text
+from uqsphere.uq import LEVEL_TEXT
 
 from .document import RecordDocument
 from .peaks import NORMAL
@@ -109,6 +110,7 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
         rows=rows(test),
         figure=svg(partial(_draw_forces, test=test)),
         bars=bars,
+        level=LEVEL_TEXT,
         doubted=any(peak.doubts for peak in test.peaks.values()),
     )
     return {"forces.csv": csv_text(forces), "pulse.csv": csv_text(pulse), "sheet.html": sheet}

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import LEFT_OUT, NORMAL, Estimate, absent, bounded, count_bound
+from uqsphere.uq.estimate import LEVEL, Estimate, absent, bounded, count_bound, student
 from uqsphere.uq.points import random_generator
 
 from .mixture import draw, standard_normal, wide_mixture
@@ -104,7 +104,7 @@ def by_kriging(
     size = plain.answers.size
     if estimate is None:
         failures = np.nansum(evaluator.mass(plain.points, plain.answers))
-        high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), 1.0 - LEFT_OUT))
+        high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), LEVEL))
         reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
         return replace(absent(reason, METHOD, evaluator.count, below=high), high_unseen=high)
     return replace(estimate, high_unseen=min((estimate.high or 1.0) + count_bound(size), 1.0))
@@ -125,7 +125,7 @@ def _corrected(
     off = variance = np.empty(0)
     block = LEAST_FRESH
     value = 0.0
-    half = math.inf
+    half = error = math.inf
     while half > accuracy * value and min(evaluator.left, len(order) - off.size) >= block:
         fresh = places[order[off.size : off.size + block]]
         ratio = answer.draws.mixture.ratio(fresh)
@@ -137,13 +137,14 @@ def _corrected(
         error = math.sqrt(max(off.var(), variance.mean()) / off.size)
         shift = float(off.mean())
         value = max(base + shift**3 / (shift**2 + error**2 or 1.0), 1e-3 * base)
-        half = NORMAL * math.hypot(error, answer.estimate.std_error or 0.0)
+        error = math.hypot(error, answer.estimate.std_error or 0.0)
+        half = student(math.inf) * error
         block = max(LEAST_FRESH, off.size // 2)
     if not value:
         return None
     factor = math.exp(min(half / value, 50.0))
     high = min(value * factor, 1.0)
-    return bounded(value, value / factor, high, half / NORMAL, METHOD, evaluator.count)
+    return bounded(value, value / factor, high, error, METHOD, evaluator.count)
 
 
 # --- the process ----------------------------------------------------------------------------------
