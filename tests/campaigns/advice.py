@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     path = shipped_studies()[NAME]
     text, design = path.read_text(encoding="utf-8"), Design.of(load_study(path))
     with Model(design.judged, None) as model:
-        judged, _ = judge(design, model, grow(design, model, seconds=600.0))
+        judged, _ = judge(model, grow(design, model, seconds=600.0))
         aims = [one.line for one in judged if one.line is not None]
         rows = []
         for word in asked.words or ["25", "100"]:

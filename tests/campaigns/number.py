@@ -82,7 +82,7 @@ def _asked(name: str, rows: int, series: int) -> list[list[str]]:
             path = shipped_studies()[name]
         design = Design.of(load_study(path, text=text))
         with Model(design.judged, model) as opened:
-            judged, _ = judge(design, opened, grow(design, opened, seconds=600.0))
+            judged, _ = judge(opened, grow(design, opened, seconds=600.0))
             return [
                 [name, *_at_number(opened, one, rows, series)]
                 for one in judged

@@ -88,7 +88,7 @@ def _numbers(name: str, plans: int) -> list[list[str]]:
         study = load_study(path, [LOOSE, f"{key}={free}"], text=text)
         design = Design.of(study)
         with Model(design.judged) as model:
-            judged, _ = judge(design, model, grow(design, model, seconds=600.0))
+            judged, _ = judge(model, grow(design, model, seconds=600.0))
         for aim in judged:
             assert aim.line is not None
             doubt = aim.line.governing

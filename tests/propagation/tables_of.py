@@ -1,4 +1,4 @@
-"""A design and its tables for tests of one analysis, without the loop of a run."""
+"""The tables of a design for tests of one analysis, without the loop of a run."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Columns = dict[str, np.ndarray]
 
 def tables_of(
     study: Study, model: Callable[[Columns], Columns], count: int = 1024, **tables: Any
-) -> tuple[Design, Tables]:
+) -> Tables:
     """The tables of a black box: `count` points of every replicate."""
     design = Design.of(study)
     with Model(design.judged, model) as evaluator:
         sample = evaluate(design, evaluator, design.points(count))
-    return design, Tables(sample=sample, **tables)
+    return Tables(design=design, sample=sample, **tables)

@@ -20,8 +20,8 @@ def by_name(found):
 @pytest.mark.parametrize(("policy", "effect"), [("drop", "left out"), ("bound", "widened")])
 def test_failed_rows_are_counted_and_their_effect_is_that_of_the_policy(policy, effect):
     study = Study(inputs=LOAD, outputs="y", analysis={"on_failure": policy})
-    design, tables = tables_of(study, lambda x: {"y": np.where(x["load"] > 2.5, np.nan, x["load"])})
-    check = by_name(checks(design, tables))["failed_rows"]
+    tables = tables_of(study, lambda x: {"y": np.where(x["load"] > 2.5, np.nan, x["load"])})
+    check = by_name(checks(tables))["failed_rows"]
     assert check.share == pytest.approx(stats.norm.sf(2.5), rel=0.05)
     assert check.grade == "warning"
     assert effect in check.effect
@@ -32,17 +32,17 @@ def test_a_tail_without_variance_is_found(power, heavy):
     def model(x):
         return {"y": stats.norm.sf(x["load"]) ** -power}
 
-    design, tables = tables_of(Study(inputs=LOAD, outputs="y"), model)
-    names = by_name(checks(design, tables))
+    tables = tables_of(Study(inputs=LOAD, outputs="y"), model)
+    names = by_name(checks(tables))
     assert ("heavy_tail_y" in names) is heavy
 
 
 def test_a_note_of_the_model_becomes_a_warning():
-    design, tables = tables_of(Study(inputs=LOAD, outputs="y"), lambda x: {"y": x["load"]})
-    check = by_name(checks(design, tables, ["it printed something"]))["model"]
+    tables = tables_of(Study(inputs=LOAD, outputs="y"), lambda x: {"y": x["load"]})
+    check = by_name(checks(tables, ["it printed something"]))["model"]
     assert (check.text, check.grade) == ("it printed something", "warning")
 
 
 def test_a_plain_model_has_no_checks():
-    design, tables = tables_of(Study(inputs=LOAD, outputs="y"), lambda x: {"y": x["load"]})
-    assert not [*checks(design, tables)]
+    tables = tables_of(Study(inputs=LOAD, outputs="y"), lambda x: {"y": x["load"]})
+    assert not [*checks(tables)]

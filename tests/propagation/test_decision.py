@@ -147,7 +147,7 @@ def test_more_tests_promise_no_less_and_cut_modes_anew(
 
     monkeypatch.setattr(promise._Promise, "_stronger", followed)
     with Model(design.judged) as model:
-        (judged,), _ = judge(design, model, grow(design, model, seconds=600.0))
+        (judged,), _ = judge(model, grow(design, model, seconds=600.0))
     assert judged.line is not None
     gains = promise.gains_of(judged.line, (25, 50, 100))
     for end in ("low", "median"):
@@ -436,7 +436,7 @@ def test_a_plan_moved_over_decades_leaves_the_numbers(
         study = load_study(path, [f"analysis.accuracy={{ {accuracy} }}", *more], text=text)
         design = Design.of(study)
         with Model(design.judged) as model:
-            judged, _ = judge(design, model, grow(design, model, seconds=600.0))
+            judged, _ = judge(model, grow(design, model, seconds=600.0))
         numbers.append([aim.line.number for aim in judged if aim.line is not None])
     assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
     assert None not in numbers[0]

@@ -36,7 +36,7 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(
     study = load_study(text=STUDY)
     design = Design.of(study)
     with Model(design.study, lambda x: {"y": x["a"] * np.exp(x["b"])}) as model:
-        before = Tables(sample=evaluate(design, model, design.points(8192)))
+        before = Tables(design=design, sample=evaluate(design, model, design.points(8192)))
         at_once = evaluate(design, model, design.points(16_384))
         rows = ("scores", "inputs", "answers", "censored", "status", "failed")
         whole = sum(getattr(at_once, name).nbytes for name in rows)
@@ -146,5 +146,6 @@ def test_an_error_that_has_stopped_falling_is_stuck_whatever_it_fell_by_before()
     error = Accuracy(subject="y", answer="mean", required=0.01, reached=0.1)
     falls = [{("y", "mean"): reached} for reached in (0.8, 0.4, 0.2, 0.1)]
     stays = [{("y", "mean"): reached} for reached in (0.8, 0.101, 0.1, 0.1)]
-    assert not grow._is_stuck(Tables(sample=sample), falls[-3], error)
-    assert grow._is_stuck(Tables(sample=sample), stays[-3], error)
+    tables = Tables(design=Design.of(load_study(text=STUDY)), sample=sample)
+    assert not grow._is_stuck(tables, falls[-3], error)
+    assert grow._is_stuck(tables, stays[-3], error)

@@ -42,16 +42,16 @@ def load(x):
     ],
 )
 def test_a_failure_probability_is_that_of_the_closed_form(strength, aim, truth):
-    design, tables = tables_of(study(strength, aim), load)
-    (limit,) = design.limits
-    estimate = failure(design, tables, limit)
+    tables = tables_of(study(strength, aim), load)
+    (limit,) = tables.design.limits
+    estimate = failure(tables, limit)
     assert estimate.low <= truth <= estimate.high
     assert estimate.high - estimate.low < 0.02 * truth + 1e-3
 
 
 def test_rows_of_a_limit_agree_with_each_other():
-    design, tables = tables_of(study(NORMAL), load)
-    answers = Answers(limits(design, tables))
+    tables = tables_of(study(NORMAL), load)
+    answers = Answers(limits(tables))
     failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
     exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
     index = answers.get("limits.high", Kind.RELIABILITY_INDEX)
@@ -62,8 +62,8 @@ def test_rows_of_a_limit_agree_with_each_other():
 
 
 def test_exceedance_is_the_complement_where_the_sphere_must_break():
-    design, tables = tables_of(study(NORMAL, "break"), load)
-    answers = Answers(limits(design, tables))
+    tables = tables_of(study(NORMAL, "break"), load)
+    answers = Answers(limits(tables))
     failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
     exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
     assert exceeded.value == pytest.approx(1.0 - failed.value, rel=1e-12)
@@ -71,11 +71,11 @@ def test_exceedance_is_the_complement_where_the_sphere_must_break():
 
 def test_a_dependence_of_load_and_strength_counts():
     tie = [{"of": ["load", "limits.high.strength"], "spearman": 6.0 / math.pi * math.asin(0.4)}]
-    design, tables = tables_of(study({**NORMAL, "mean": 13.0}, dependence=tie), load)
-    (limit,) = design.limits
+    tables = tables_of(study({**NORMAL, "mean": 13.0}, dependence=tie), load)
+    (limit,) = tables.design.limits
     # rho = 2 sin(pi/6 spearman) = 0.8 of the normal scores
     sd = math.sqrt(2.0**2 + 1.5**2 - 2.0 * 0.8 * 2.0 * 1.5)
-    estimate = failure(design, tables, limit)
+    estimate = failure(tables, limit)
     assert estimate.value == pytest.approx(stats.norm.sf(3.0 / sd), rel=0.02)
 
 
@@ -83,9 +83,9 @@ def test_a_fixed_input_gives_an_exact_answer():
     fixed = Study(
         inputs={"load": 10.0}, outputs="y", limits={"high": {"quantity": "y", "strength": NORMAL}}
     )
-    design, tables = tables_of(fixed, load, 16)
-    (limit,) = design.limits
-    estimate = failure(design, tables, limit)
+    tables = tables_of(fixed, load, 16)
+    (limit,) = tables.design.limits
+    estimate = failure(tables, limit)
     assert estimate.value == pytest.approx(stats.norm.cdf(-4.0), rel=1e-12)
     assert estimate.low == estimate.high == estimate.value
 
@@ -96,9 +96,9 @@ def test_failed_rows_widen_an_interval_by_their_share():
     def model(x):
         return {"y": np.where(x["load"] < 7.0, np.nan, x["load"])}
 
-    design, tables = tables_of(bounded, model)
-    (limit,) = design.limits
-    estimate = failure(design, tables, limit)
+    tables = tables_of(bounded, model)
+    (limit,) = tables.design.limits
+    estimate = failure(tables, limit)
     lost = stats.norm.cdf(-1.5)
     assert estimate.low <= stats.norm.sf(1.5) <= estimate.high
     assert estimate.high - estimate.low == pytest.approx(lost, rel=0.1)

@@ -32,9 +32,9 @@ def model(x):
 
 
 def results(of):
-    design, tables = tables_of(of, model)
+    tables = tables_of(of, model)
     cost = Cost(runs=7, reused=3, seconds=1.234)
-    return results_of(design, tables, [], [], [], cost)
+    return results_of(tables, [], [], [], cost)
 
 
 def test_inputs_have_the_numbers_of_their_distributions():
@@ -74,8 +74,8 @@ def test_cost_and_identity_are_the_runs_own():
 
 
 def test_samples_have_inputs_strengths_and_answers_row_by_row():
-    design, tables = tables_of(study(), model)
-    table = samples_of(design, tables)
+    tables = tables_of(study(), model)
+    table = samples_of(tables)
     assert len(table["y"]) == 16 * 1024
     assert table["y"] == pytest.approx(table["a"] * table["b"])
     strengths = table["limits.high.strength"]

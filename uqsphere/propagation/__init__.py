@@ -154,25 +154,25 @@ def run(
             )
         else:
             tables = grow(design, evaluator, seconds=seconds, progress=report)
-        judged, tables = judge(design, evaluator, tables, started + seconds)
+        judged, tables = judge(evaluator, tables, started + seconds)
         answers = list[Answer]()
         for analysis in ANALYSES:
-            answers += analysis(design, tables)
-        answers += salib_indices(design, tables, evaluator)
+            answers += analysis(tables)
+        answers += salib_indices(tables, evaluator)
         answers += assumed_answers(judged)
         method = "half-width over what is required"
         for runs, error in tables.reached:
             answers.append(number_row("run", "error", runs, error, method=method))
-        checked = [*checks(design, tables, evaluator.notes)]
+        checked = [*checks(tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
         cost = Cost(
             runs=evaluator.evaluations + evaluator.reused,
             reused=evaluator.reused,
             seconds=time.monotonic() - started,
         )
-        results = results_of(design, tables, answers, decisions, checked, cost)
+        results = results_of(tables, answers, decisions, checked, cost)
         write_log(out, f"ended: {tables.stopped} after {cost.seconds:.1f} s")
-        samples = samples_of(design, tables)
+        samples = samples_of(tables)
         if out is not None:
             write_run(out, study, results, samples)
         return Run(
@@ -180,17 +180,18 @@ def run(
             folder=out,
             columns=samples,
             study=study,
-            pairs_of=partial(_pairs, design, tables),
+            pairs_of=partial(_pairs, tables),
         )
 
 
-def _pairs(design: Design, tables: Tables, quantity: str) -> Any:
+def _pairs(tables: Tables, quantity: str) -> Any:
     """The runs behind the indices of a quantity as SALib takes them; None without such."""
     from uqsphere.uq.interop import SalibDesign, salib_problem
 
     outputs = tables.pairs.get(quantity)
     if outputs is None:
         return None
+    design = tables.design
     rows = pair_rows(design, outputs.shape[1])
     return SalibDesign(
         problem=salib_problem(design.joint_inputs),

@@ -19,7 +19,7 @@ interval (`_beyond`).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -238,6 +238,6 @@ def points_of(design: Design, normals: Array) -> Array:
     return germ_points(normals[..., : len(design.germs)], design.germs)
 
 
-def values_at(design: Design, expansion: Expansion) -> Callable[[Array], Array]:
+def values_at(design: Design, expansion: Expansion, normals: Array) -> Array:
     """Values of an expansion at independent normals (..., D)."""
-    return lambda normals: predict(expansion.fit, points_of(design, normals))
+    return predict(expansion.fit, points_of(design, normals))

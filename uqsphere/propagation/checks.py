@@ -21,7 +21,6 @@ from .decision import Settled
 from .design import Design
 from .limits import failure_given_inputs
 from .line import Line, YieldingRows, inputs_at, plan_of
-from .sampled import source_of
 from .tables import Tables
 
 #: rows that are checked
@@ -40,13 +39,14 @@ class Check(CheckEntry):
     failures: Mapping[str, float] = {}
 
 
-def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
+def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
     """Checks of the model on the first rows of every replicate, those of the tables, and what the
     model noted.
     """
     unknown = "bias not quantified"
     for note in notes:
         yield Check(name="model", text=note, share=1.0, grade="warning", effect=unknown)
+    design = tables.design
     sample = tables.sample
     if not design.study.black_box:
         plan = plan_of(design, sample.head(ROWS // sample.replicates))
@@ -65,8 +65,10 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
         _, rows = inputs_at(plan)
         yield from _later_loading(design, rows)
         yield from _out_of_reach(design, rows)
-    source = source_of(design, tables)
-    failed = source.dropped or sample.failed.mean()
+    slow = tables.surrogate
+    failed = sample.failed.mean()
+    if slow is not None:
+        failed = slow.dropped or failed
     if failed > 0.0:
         yield Check(
             name="failed_rows",
@@ -75,7 +77,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
             text=f"{format_probability(failed)} of the model runs failed",
             effect={"drop": "left out", "bound": "intervals widened"}[design.on_failure],
         )
-    if source.refusal:
+    if slow is not None:
         n = tables.runs
         yield Check(
             name="few_runs",
@@ -94,7 +96,7 @@ def checks(design: Design, tables: Tables, notes: Sequence[str] = ()) -> Iterato
                 "these leave too much of the variance, or the model fails",
                 effect="more runs, or a narrower margins.between, may give them",
             )
-    yield from _heavy_tails(design, tables)
+    yield from _heavy_tails(tables)
 
 
 def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -> Iterator[Check]:
@@ -168,9 +170,9 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> Iterator[Check]:
             )
 
 
-def _heavy_tails(design: Design, tables: Tables) -> Iterator[Check]:
+def _heavy_tails(tables: Tables) -> Iterator[Check]:
     """Outputs whose variance may not exist, by Hill's rule."""
-    for name in design.described:
+    for name in tables.design.described:
         values = tables.sample.outputs(name)
         reason = heavy_tail(values)
         if reason and np.isfinite(values).sum() >= 1000:

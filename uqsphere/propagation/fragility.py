@@ -31,8 +31,9 @@ from .tables import Tables
 METHOD = "the same points at every value"
 
 
-def fragility(design: Design, tables: Tables) -> Rows:
+def fragility(tables: Tables) -> Rows:
     """Curves and margins of every limit and failure mode."""
+    design = tables.design
     margins = design.study.margins
     if margins is None or (margins.limit is None and not tables.line):
         return
@@ -42,7 +43,7 @@ def fragility(design: Design, tables: Tables) -> Rows:
     planned = planned_value(design)
     for limit in design.judged.limits:
         subject = design.subject(limit)
-        fitted = curve_of(design, tables, limit)
+        fitted = curve_of(tables, limit)
         for row in fitted.curve:
             yield number_row(subject, "curve", *row, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
@@ -73,12 +74,11 @@ def planned_value(design: Design) -> float | None:
     return design.study.at_means().get(margins.solve)
 
 
-def curve_of(
-    design: Design, tables: Tables, limit: Limit, targets: Sequence[float] = ()
-) -> Fragility:
+def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fragility:
     """The curve of a limit, with the free number at the study's probabilities and the target, or at
     others.
     """
+    design = tables.design
     margins = design.study.margins
     sample = tables.sample
     assert margins is not None
@@ -110,11 +110,11 @@ def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> Array:
     return np.array(means)
 
 
-def margin_and_scale(design: Design, tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
+def margin_and_scale(tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:
     """The free number at the target, and half of what the curve takes from 16 to 84 %: what its
     accuracy is held to.
     """
-    values = curve_of(design, tables, limit, sorted({0.16, limit.allowable, 0.84})).values
+    values = curve_of(tables, limit, sorted({0.16, limit.allowable, 0.84})).values
     margin, low, high = (values[p] for p in (limit.allowable, 0.16, 0.84))
     if low.value is None or high.value is None or low.value == high.value:
         return margin, None
@@ -161,13 +161,13 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     counts = dict.fromkeys(grid(margins, values), max(round(rows / REPLICATES), 2))
     with Model(design.judged) as model:
         line = evaluated_at(design, model, {}, counts)
-    tables = Tables(sample=next(iter(line.values())), line=line)
+    tables = Tables(design=design, sample=next(iter(line.values())), line=line)
     samples = [*line.values()]
     outputs = {}
     for name in design.columns:
         outputs[name] = np.stack([sample.outputs(name) for sample in samples])
     limits = {}
     for limit in study.limits:
-        limits[limit.name] = curve_of(design, tables, limit, margins.for_probability)
+        limits[limit.name] = curve_of(tables, limit, margins.for_probability)
     failed = np.array([sample.failed.mean() for sample in samples])
     return Curves(values=np.array([*line]), outputs=outputs, limits=limits, failed=failed)

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -24,15 +25,14 @@ from uqsphere.uq.estimate import REPLICATES, count_bound
 from uqsphere.uq.indices import base_points
 
 from . import rare
-from .chaos import expansions
+from .chaos import expansions, varies
 from .design import VALUES, Design, is_strength, normal_scores
 from .fragility import margin_and_scale
 from .free_number import grid, shares_of, values_at
 from .limits import failure
 from .line import evaluated_at
 from .progress import Progress
-from .quantities import described, of_quantity
-from .sampled import by_chaos_accurate
+from .sobol import by_chaos
 from .tables import Accuracy, Tables, check_failures, evaluate
 
 #: points of a replicate at first
@@ -76,7 +76,7 @@ def grow(
         try:
             if tables is None:
                 sample = evaluate(design, model, design.points(count))
-                grown = Tables(sample=sample)
+                grown = Tables(design=design, sample=sample)
             else:
                 # the rows so far become the head of longer arrays: no second copy of them is kept
                 sample = tables.sample.with_room(count)
@@ -84,7 +84,7 @@ def grow(
                 fill(design, model, sample, tables.sample.count)
                 grown = replace(tables, sample=sample, descriptions={})
             line = evaluated_at(design, model, grown.line, _line_counts(design, tables, count))
-            tables = _answered(design, model, replace(grown, line=line), rows_left)
+            tables = _answered(model, replace(grown, line=line), rows_left)
         except Interrupted:
             if tables is None:
                 raise KeyboardInterrupt from None
@@ -121,8 +121,8 @@ def grow(
             stopped = "time"
         if stopped:
             # a last search with what is left of the budget
-            tables = rare.search(design, model, replace(tables, stopped=stopped), rows_left)
-            tables = replace(tables, errors=accuracies(design, tables))
+            tables = rare.search(model, replace(tables, stopped=stopped), rows_left)
+            tables = replace(tables, errors=accuracies(tables))
             if not tables.inaccurate and tables.stopped in ("budget", "cap", "no gain"):
                 tables = replace(tables, stopped="accurate")
             return tables
@@ -198,32 +198,42 @@ def _inaccurate_margins(tables: Tables) -> list[str]:
     ]
 
 
-def _answered(
-    design: Design, model: Model, tables: Tables, rows_left: Callable[[], float]
-) -> Tables:
+def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tables:
     """Tables with all that is computed from a longer sample and line; a margin that is accurate is
     not looked at again.
     """
+    design = tables.design
     names = design.study.analysis.quantities
     inaccurate: list[str] = []
     if design.inputs:
         fits = expansions(design, tables.sample, design.described, tables.expansions)
         tables = replace(tables, expansions=fits)
-        inaccurate = [name for name in names if not by_chaos_accurate(design, tables, name)]
+        inaccurate = [name for name in names if not _by_chaos_accurate(tables, name)]
     margins = dict(tables.margins)
     missed = _inaccurate_margins(tables)
     for limit in design.limits:
         name = limit.name
         poor = name not in margins or margins[name][0].value is None or name in missed
         if poor and tables.line:
-            margins[name] = margin_and_scale(design, tables, limit)
-    tables = rare.search(design, model, replace(tables, margins=margins), rows_left)
+            margins[name] = margin_and_scale(tables, limit)
+    tables = rare.search(model, replace(tables, margins=margins), rows_left)
     if not tables.stopped:
         count = tables.sample.count // PAIRS_SHARE
         pairs = paired(design, model, count, inaccurate, tables.pairs, rows_left())
         tables = replace(tables, pairs=pairs)
-    tables = replace(tables, descriptions={name: described(design, tables, name) for name in names})
-    return replace(tables, errors=accuracies(design, tables))
+    tables = replace(tables, descriptions={name: tables.described(name) for name in names})
+    return replace(tables, errors=accuracies(tables))
+
+
+def _by_chaos_accurate(tables: Tables, name: str) -> bool:
+    """Whether the chaos indices of a quantity are as accurate as required."""
+    expansion = tables.expansions.get(name)
+    if expansion is None:
+        # where nothing varies there is nothing to sample
+        return tables.sample.knows(name) and not varies(tables.sample.answer(name))
+    estimates = chain(*by_chaos(tables.design, expansion).values())
+    widest = max(estimate.half_width for estimate in estimates)
+    return widest <= tables.design.study.analysis.accuracy.sobol
 
 
 def paired(
@@ -278,16 +288,17 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     return np.stack(mixed)
 
 
-def accuracies(design: Design, tables: Tables) -> tuple[Accuracy, ...]:
+def accuracies(tables: Tables) -> tuple[Accuracy, ...]:
     """The accuracy of every answer that the study has a requirement for."""
-    return tuple(error for error in _accuracies(design, tables) if math.isfinite(error.required))
+    return tuple(error for error in _accuracies(tables) if math.isfinite(error.required))
 
 
-def _accuracies(design: Design, tables: Tables) -> Iterator[Accuracy]:
+def _accuracies(tables: Tables) -> Iterator[Accuracy]:
     """The accuracy of every answer that has one."""
+    design = tables.design
     required = design.study.analysis.accuracy
     for name in design.study.analysis.quantities:
-        description = described(design, tables, name)
+        description = tables.described(name)
         scale = description.scale
         if description.mean.value is None or not scale > 0.0:
             continue
@@ -298,11 +309,11 @@ def _accuracies(design: Design, tables: Tables) -> Iterator[Accuracy]:
             if estimate.value is not None:
                 error = estimate.half_width / scale - least
                 yield Accuracy(name, f"quantile {p:g}", error, required.quantile)
-        for label, row in of_quantity(design, tables, name).items():
+        for label, row in tables.sobol(name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
             yield Accuracy(name, f"sobol {label}", widest, required.sobol)
     for limit in design.limits:
-        estimate = failure(design, tables, limit)
+        estimate = failure(tables, limit)
         subject = f"limits.{limit.name}"
         searched = limit.name in tables.rare
         if rare.is_negligible(estimate, limit) or not estimate.value:

@@ -40,21 +40,21 @@ from uqsphere.uq.limit_state import (
 
 from .demands import column_of, demands_of, strength_of
 from .design import Design
-from .sampled import source_of
 from .tables import Tables, input_rows
 
 #: points of a replicate that the drivers rest on at most, and the step of a score for derivatives
 MOST_POINTS, STEP = 2048, 1e-3
 
 
-def limits(design: Design, tables: Tables) -> Rows:
+def limits(tables: Tables) -> Rows:
     """Fracture and failure probability, reliability index and strength over demand of every
     limit.
     """
+    design = tables.design
     for limit in design.judged.limits:
         subject = design.subject(limit)
         runs = tables.runs
-        failed = exceeded = failure(design, tables, limit)
+        failed = exceeded = failure(tables, limit)
         if limit.name in tables.rare:
             runs += tables.rare[limit.name].estimate.evaluations
         if limit.aim != "survive":
@@ -69,8 +69,9 @@ def limits(design: Design, tables: Tables) -> Rows:
         yield estimate_row(subject, "safety_factor", "strength over demand", ratio, runs=runs)
 
 
-def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
+def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
+    design = tables.design
     if limit.name in tables.failures:
         return tables.failures[limit.name]
     column = column_of(limit)
@@ -80,7 +81,7 @@ def failure(design: Design, tables: Tables, limit: Limit) -> Estimate:
     constant = not design.drawn.names and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
-    return source_of(design, tables).probability(
+    return tables.source.probability(
         column,
         sampled,
         lambda sample: failure_given_inputs(state_of(design, limit, sample), limit.aim),
@@ -139,13 +140,14 @@ def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
 # --- drivers -----------------------------------------------------------------------------------
 
 
-def drivers(design: Design, tables: Tables) -> Rows:
+def drivers(tables: Tables) -> Rows:
     """What drives the failure probability of every limit: its change per standard deviation that
     the centre of an input, or of the strength, is moved by.
 
     Failure has the conditional probability T = P(failure | inputs), F_S(demand) or its complement,
     the strength being integrated.
     """
+    design = tables.design
     names = design.drawn.names
     if not names:
         return
@@ -203,10 +205,11 @@ SPECIMENS, SPHERES = 16, 512
 METHOD = "spheres that break, along their loading"
 
 
-def fracture(design: Design, tables: Tables) -> Rows:
+def fracture(tables: Tables) -> Rows:
     """Probability of fracture by any limit, the share of each mode, and time and force at
     fracture.
     """
+    design = tables.design
     limits = _each_once(design.fracture)
     if len(limits) < 2 or design.study.black_box or not design.drawn.names:
         return

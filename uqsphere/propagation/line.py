@@ -159,15 +159,15 @@ def plan_of(design: Design, sample: Sample) -> Line:
     return Line(design=design, samples={math.nan: sample})
 
 
-def line_of(design: Design, tables: Tables) -> Line | None:
+def line_of(tables: Tables) -> Line | None:
     """The line of a run; None without a free number."""
-    margins = design.study.margins
+    margins = tables.design.study.margins
     samples = tables.line
     if margins is not None and margins.limit is not None:
         samples = dict.fromkeys(grid(margins, VALUES), tables.sample.head(_SHARED))
     if not samples:
         return None
-    return Line(design=design, samples=samples)
+    return Line(design=tables.design, samples=samples)
 
 
 def evaluated_at(

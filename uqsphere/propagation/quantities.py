@@ -11,31 +11,21 @@ from uqsphere.arrays import Array, special
 from uqsphere.models.model import Model
 from uqsphere.results.answers import Rows, estimate_row
 from uqsphere.uq import absent
-from uqsphere.uq.describe import Description
 
-from .design import Design
-from .sampled import METHOD, source_of
-from .tables import Indices, Tables
+from .tables import Tables
 
 
-def distributions(design: Design, tables: Tables) -> Rows:
+def distributions(tables: Tables) -> Rows:
     """Mean, standard deviation, quantiles and censored share of every quantity."""
-    runs = tables.runs if design.drawn.names else 1
-    for name in design.described:
-        description = described(design, tables, name)
+    runs = tables.runs if tables.design.drawn.names else 1
+    for name in tables.design.described:
+        description = tables.described(name)
         yield estimate_row(name, "mean", "", description.mean, runs=runs)
         yield estimate_row(name, "sd", "", description.sd, runs=runs)
         for p, estimate in description.quantiles.items():
             yield estimate_row(name, "quantile", p, estimate, runs=runs)
         if tables.sample.late(name).any():
             yield estimate_row(name, "censored_share", "", description.censored_share, runs=runs)
-
-
-def described(design: Design, tables: Tables, name: str) -> Description:
-    """The description of a quantity."""
-    if name in tables.descriptions:  # the loop and the analyses ask for the same ones
-        return tables.descriptions[name]
-    return source_of(design, tables).describe(name)
 
 
 def density(values: Array) -> list[list[float]] | None:
@@ -63,12 +53,12 @@ def density(values: Array) -> list[list[float]] | None:
 # --- Sobol' indices -------------------------------------------------------------------------------
 
 
-def indices(design: Design, tables: Tables) -> Rows:
+def indices(tables: Tables) -> Rows:
     """First-order and total indices of every quantity, second-order ones where the study asks for
     them.
     """
-    for name in design.explained:
-        for label, row in of_quantity(design, tables, name).items():
+    for name in tables.design.explained:
+        for label, row in tables.sobol(name).items():
             runs = tables.runs
             if name in tables.pairs:
                 runs += tables.pairs[name].size
@@ -81,18 +71,18 @@ def indices(design: Design, tables: Tables) -> Rows:
 TRAJECTORIES, GIVEN = 64, 4096
 
 
-def salib_indices(design: Design, tables: Tables, model: Model) -> Rows:
+def salib_indices(tables: Tables, model: Model) -> Rows:
     """The measures of SALib that a study names in `analysis.measures`: Morris by a design of its
     own, which a slow model is not asked for, the others from the rows that are there."""
     from uqsphere.uq.interop import SALIB_METHODS, morris_rows, salib_measures
 
+    design = tables.design
     inputs = design.joint_inputs
     names = design.inputs
     if not names:
         return
-    source = source_of(design, tables)
     seed = design.study.seed
-    sample = source.rows
+    sample = tables.rows
     given = special.ndtr(sample.scores[..., : len(names)].reshape(-1, len(names))[:GIVEN])
     for method in SALIB_METHODS:
         if method not in design.study.analysis.measures:
@@ -102,8 +92,8 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Rows:
         columns = {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"
-        elif method == "morris" and source.refusal:
-            reason = source.refusal
+        elif method == "morris" and tables.surrogate is not None:
+            reason = "the model is too slow for a design of its own"
         elif method == "morris":
             uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=seed)
             values = model.evaluate(names, rows, design.described).values
@@ -115,13 +105,3 @@ def salib_indices(design: Design, tables: Tables, model: Model) -> Rows:
                 row = salib_measures(method, uniforms, outputs, names, seed=seed)
             for label, estimate in zip(names, row, strict=True):
                 yield estimate_row(name, method, label, estimate, runs=len(uniforms))
-
-
-def of_quantity(design: Design, tables: Tables, name: str) -> Indices:
-    """(first, total) by input, and (second,) by "input,input"."""
-    if design.joint_inputs.dependent:
-        # variance has no parts of its own for each of inputs that are tied
-        reason = "inputs depend on each other: their Sobol' indices have no meaning"
-        nothing = absent(reason, METHOD, tables.runs)
-        return dict.fromkeys(design.inputs, (nothing, nothing))
-    return source_of(design, tables).indices(name)

@@ -60,19 +60,20 @@ def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
     return estimate.evaluations * (estimate.half_width / (accuracy * estimate.value)) ** 2
 
 
-def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tables:
+def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tables:
     """The tables with searches for the failure probabilities that sampling would not reach, with
     `rows_left` model runs: all of them where the study asks for the accuracy of probabilities by
     name, else half.
 
     The likelier of two limits comes first: its draws may serve the other.
     """
+    design = tables.design
     answered = partial(evaluate, design, model, part=True)
     required = design.study.analysis.accuracy
     by_name = "probability" in required.model_fields_set or bool(tables.stopped)
     answers = dict(tables.rare)
     shared = dict[tuple[str, str], list[Draws]]()
-    waiting = _waiting(design, tables, rows_left())
+    waiting = _waiting(tables, rows_left())
     for place, limit in enumerate(waiting):
         allowed = rows_left() / (len(waiting) - place)
         if not by_name:
@@ -97,16 +98,17 @@ def search(design: Design, model: Model, tables: Tables, rows_left: Callable[[],
     return replace(tables, rare=answers)
 
 
-def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
+def _waiting(tables: Tables, rows_left: float) -> list[Limit]:
     """The limits whose failure probability a search may answer better than more rows, the
     likeliest first; a limit that was searched waits where twice the runs of its search are left.
     """
+    design = tables.design
     if not design.drawn.names:
         return []
     required = design.study.analysis.accuracy.probability
     waiting = []
     for limit in design.limits:
-        estimate = failure(design, tables, limit)
+        estimate = failure(tables, limit)
         if is_negligible(estimate, limit):
             continue
         if estimate.value and estimate.half_width <= required * estimate.value:
@@ -124,13 +126,13 @@ def _waiting(design: Design, tables: Tables, rows_left: float) -> list[Limit]:
     return [limit for _, limit in sorted(waiting, key=lambda entry: entry[0])]
 
 
-def design_points(design: Design, tables: Tables) -> Rows:
+def design_points(tables: Tables) -> Rows:
     """The design point of every limit of the study."""
-    for limit in design.limits:
-        for name, value in _design_point(design, tables, limit).items():
+    for limit in tables.design.limits:
+        for name, value in _design_point(tables, limit).items():
             unit = lookup(limit.quantity if is_strength(name) else name).unit
             yield number_row(
-                design.subject(limit),
+                tables.design.subject(limit),
                 "design_point",
                 name,
                 value,
@@ -140,7 +142,7 @@ def design_points(design: Design, tables: Tables) -> Rows:
             )
 
 
-def _design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, float]:
+def _design_point(tables: Tables, limit: Limit) -> Mapping[str, float]:
     """The design point of a limit on the expansion of its quantity; empty where that is not
     accurate enough.
     """
@@ -149,10 +151,11 @@ def _design_point(design: Design, tables: Tables, limit: Limit) -> Mapping[str, 
     expansion = tables.expansions.get(limit.quantity)
     if expansion is None or expansion.left > MOST_LEFT:
         return {}
-    predicted = values_at(design, expansion)
+    design = tables.design
 
     def answered(points: Sample) -> Sample:
-        sample = points.with_answers((limit.quantity,), predicted(points.scores)[:, :, None])
+        values = values_at(design, expansion, points.scores)
+        sample = points.with_answers((limit.quantity,), values[:, :, None])
         return with_test_forces(design, sample, {}, [limit])
 
     points = find_design_points(_problem(design, limit, answered, MOST_VALUES))

@@ -29,7 +29,7 @@ def described_rows(design: Design, sample: Sample, name: str, method: str) -> De
 
 @frozen(eq=False)
 class Slow:
-    """What answers the questions that `uqsphere.propagation.sampled.Sampled` answers of a cheap
+    """What answers the questions that `uqsphere.propagation.tables.Tables` answers of a cheap
     model.
 
     Attributes
@@ -40,7 +40,6 @@ class Slow:
     predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
         a column are too rough
     dropped : share of the rows that failed and were left out
-    refusal : why the model is not called for designs of single methods
     """
 
     design: Design
@@ -49,7 +48,6 @@ class Slow:
     sample: Sample
     predicted: Sample | None = None
     dropped: float = 0.0
-    refusal: str = "the model is too slow for a design of its own"
 
     def corrected(self, name: str) -> Corrected | None:
         """The predictions of a quantity, corrected by its rows; None where it has none."""

@@ -171,7 +171,7 @@ def tables_of(
         points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
     slow = _predicted(design, rows)
-    tables = Tables(sample=slow.sample, surrogate=slow)
+    tables = Tables(design=design, sample=slow.sample, surrogate=slow)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
@@ -180,14 +180,14 @@ def tables_of(
         except Interrupted:
             stopped = "interrupted"
     if tables.line:
-        margins = {limit.name: margin_and_scale(design, tables, limit) for limit in design.limits}
+        margins = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
         tables = replace(tables, predicted_from=most, margins=margins)
     tables = replace(
         tables,
         descriptions={name: slow.describe(name) for name in design.described},
-        failures={limit.name: failure(design, tables, limit) for limit in design.judged.limits},
+        failures={limit.name: failure(tables, limit) for limit in design.judged.limits},
     )
-    tables = replace(tables, errors=accuracies(design, tables))
+    tables = replace(tables, errors=accuracies(tables))
     if not stopped:
         stopped = "budget" if tables.inaccurate else "accurate"
     runs = model.evaluations + model.reused

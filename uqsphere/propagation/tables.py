@@ -1,7 +1,12 @@
-"""The tables of a run: what was evaluated, and the one way in which points become rows of them."""
+"""The tables of a run: what was evaluated, what a sample of a cheap model answers, and the one way
+in which points become rows.
+
+A slow model has an object that answers the same questions (`uqsphere.propagation.slow`): analyses
+ask the `source` of their tables.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from typing import NamedTuple
 
@@ -12,15 +17,22 @@ from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
 from uqsphere.quantities import format_probability
-from uqsphere.results.types import Stop
-from uqsphere.uq import Estimate, Sample
-from uqsphere.uq.describe import Description
+from uqsphere.results.types import IndexMethod, Stop
+from uqsphere.uq import Estimate, Sample, absent, exact
+from uqsphere.uq.describe import Description, describe_controlled, heavy_tail
+from uqsphere.uq.estimate import carriers, count_bound
 from uqsphere.uq.rows import too_small
 
-from .chaos import Expansion
+from . import chaos
 from .demands import with_test_forces
 from .design import Design
-from .slow import Slow
+from .slow import Slow, described_rows
+from .sobol import METHOD, Indices, by_chaos, by_pairs
+
+#: points at which an expansion that serves as control is evaluated, for each point of the sample,
+#: and at most: a sample of so many needs no control
+MANY = 16
+MOST_MANY = 1 << 16
 
 
 class Accuracy(NamedTuple):
@@ -41,14 +53,12 @@ class Searched(NamedTuple):
     design_point: Mapping[str, float]
 
 
-#: first and total index by input, and second ones by "input,input"
-Indices = Mapping[str, tuple[Estimate, ...]]
-
-
 @frozen(eq=False)
 class Tables:
-    """What was evaluated, and how accurate it is.  Tables that grow are new tables.
+    """What was evaluated, how accurate it is, and what the rows of a cheap model answer.  Tables
+    that grow are new tables.
 
+    design : what is evaluated
     sample : (R, n) points with all columns
     line : the same at values of the free number; empty where it moves no row, or there is none
     pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
@@ -65,10 +75,11 @@ class Tables:
     fold_line : its line by each of the expansions, all at the same points: (folds, m)
     """
 
+    design: Design
     sample: Sample
     line: Mapping[float, Sample] = field(default_factory=dict)
     pairs: Mapping[str, Array] = field(default_factory=dict)
-    expansions: Mapping[str, Expansion] = field(default_factory=dict)
+    expansions: Mapping[str, chaos.Expansion] = field(default_factory=dict)
     rare: Mapping[str, Searched] = field(default_factory=dict)
     margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
     descriptions: Mapping[str, Description] = field(default_factory=dict)
@@ -88,6 +99,11 @@ class Tables:
         return self.surrogate.rows
 
     @property
+    def source(self) -> "Slow | Tables":
+        """What answers the questions of the analyses."""
+        return self.surrogate or self
+
+    @property
     def runs(self) -> int:
         """Model runs that the sample rests on."""
         return self.rows.size
@@ -101,6 +117,92 @@ class Tables:
     def worst(self) -> float:
         """The largest error over its requirement; 0 where nothing is required."""
         return max((error.reached / error.required for error in self.errors), default=0.0)
+
+    def described(self, name: str) -> Description:
+        """The description of a quantity; the loop and the analyses ask for the same ones."""
+        if name in self.descriptions:
+            return self.descriptions[name]
+        return self.source.describe(name)
+
+    def sobol(self, name: str) -> Indices:
+        """First, total and second indices of a quantity."""
+        if self.design.joint_inputs.dependent:
+            # variance has no parts of its own for each of inputs that are tied
+            reason = "inputs depend on each other: their Sobol' indices have no meaning"
+            nothing = absent(reason, METHOD, self.runs)
+            return dict.fromkeys(self.design.inputs, (nothing, nothing))
+        return self.source.indices(name)
+
+    # --- what a sample of a cheap model answers ---------------------------------------------------
+
+    def describe(self, name: str) -> Description:
+        """The description of a quantity; an accurate expansion is its control variate."""
+        sample = self.sample
+        quantiles = self.design.study.analysis.quantiles
+        if not self.design.drawn.names and sample.knows(name):
+            value = exact(sample.answer(name)[0, 0])
+            return Description(
+                mean=value,
+                sd=exact(0.0),
+                quantiles=dict.fromkeys(quantiles, value),
+                censored_share=exact(0.0),
+                scale=0.0,
+            )
+        expansion = self._control(name)
+        if expansion is not None:
+            return describe_controlled(
+                sample.answer(name)[1:],
+                expansion.values,
+                self.values(name)[1:],
+                quantiles=quantiles,
+                method="sample, chaos as control variate",
+            )
+        return described_rows(self.design, sample, name, "sample")
+
+    def _control(self, name: str) -> chaos.Expansion | None:
+        """The expansion of a quantity that is accurate enough to be its control variate."""
+        expansion = self.expansions.get(name)
+        if expansion is None or self.sample.count >= MOST_MANY:
+            return None
+        return expansion if expansion.left + expansion.beyond < chaos.CONTROL else None
+
+    def values(self, name: str) -> Array:
+        """Values (R, n) that stand for the distribution of a quantity: of its control variate at
+        the sample's points continued, `MANY` for each.
+        """
+        expansion = self._control(name)
+        if expansion is None:
+            return self.sample.answer(name)
+        count = min(MANY * self.sample.count, MOST_MANY)
+        return chaos.values_at(self.design, expansion, self.design.many_normals(count))
+
+    def probability(
+        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
+    ) -> Estimate:
+        """The failure probability of the sample; only a bound where too few rows carry it."""
+        small = sampled.value is not None and 0.0 < sampled.value < 1e-3
+        if not small or carriers(chance(self.sample)) >= 20.0:
+            return sampled
+        bound = max(sampled.high or 0.0, count_bound(self.sample.size))
+        reason = "fewer than 20 effective samples contribute to it; only a bound is given"
+        return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
+
+    def index_method(self, name: str) -> IndexMethod:
+        """Where the indices of a quantity come from."""
+        if name in self.pairs:
+            return "pairs"
+        return "chaos" if name in self.expansions else ""
+
+    def indices(self, name: str) -> Indices:
+        """First and total indices of a quantity for independent inputs, and second ones."""
+        reason = heavy_tail(self.sample.outputs(name), certain=True)
+        if not reason and name in self.pairs:
+            return by_pairs(self.design, self.pairs[name])
+        if not reason and name in self.expansions:
+            return by_chaos(self.design, self.expansions[name])
+        reason = reason or "the quantity does not vary, or has no plain value at every point"
+        nothing = absent(reason, METHOD, self.sample.size)
+        return dict.fromkeys(self.design.inputs, (nothing, nothing))
 
 
 def input_rows(

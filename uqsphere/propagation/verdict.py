@@ -92,22 +92,21 @@ class Judged:
         return next((d.margin for d in self.settled.doubts if d.key == doubt.key), None)
 
 
-def judge(
-    design: Design, model: Model, tables: Tables, end: float = math.inf
-) -> tuple[list[Judged], Tables]:
+def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Judged], Tables]:
     """Every aim of a study, with the number to use, and the tables with the rows that were added to
     the line.
 
     end : when the time for more rows is over, by the monotonic clock [s]
     """
     judged = []
+    design = tables.design
     yielding = yielding_rows(design)
     planned = planned_value(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word)
         settling = Settling(model=model, others=[*alternatives(aim)], yielding=yielding, end=end)
         plan = settling.once(aim, plan_of(design, tables.sample.head(_AT_PLAN)))
-        line = line_of(design, tables)
+        line = line_of(tables)
         settled = None
         if line is not None:
             if tables.surrogate is not None or tables.stopped == "interrupted":
@@ -123,7 +122,7 @@ def judge(
         probability = _at_plan(tables, Curves(aim=replace(aim, modes=()), line=plan.line))
         if aim.survive:
             for mode in design.modes:
-                probability[mode.limit.name] = failure(design, tables, mode.limit)
+                probability[mode.limit.name] = failure(tables, mode.limit)
         judged.append(
             Judged(
                 settling=settling,
@@ -174,7 +173,7 @@ def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
     """The failure probability of each limit at the plan with the other failure modes."""
     estimates = {}
     for limit in curves.aim.limits:
-        estimate = failure(curves.aim.design, tables, limit)
+        estimate = failure(tables, limit)
         alone, joint = curves.base(limit)
         if curves.adds_up(limit):
             estimate = _added(estimate, (joint - alone)[0])

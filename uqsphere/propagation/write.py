@@ -46,8 +46,7 @@ from .design import Design
 from .failure_modes import breaks_by, means_fracture
 from .fragility import planned_value
 from .limits import state_of
-from .quantities import density, described
-from .sampled import source_of
+from .quantities import density
 from .tables import Tables
 
 #: rows of samples.csv
@@ -77,7 +76,6 @@ class Cost(NamedTuple):
 
 
 def results_of(
-    design: Design,
     tables: Tables,
     answers: list[Answer],
     decisions: list[Decision],
@@ -85,6 +83,7 @@ def results_of(
     cost: Cost,
 ) -> Results:
     """What results.json holds."""
+    design = tables.design
     study = design.study
     return Results(
         study=StudyEntry(
@@ -96,7 +95,7 @@ def results_of(
             free=free_number_of(design),
             overrides=list(study.overrides),
             warnings=list(study.warnings),
-            quantities={name: _quantity(design, tables, name) for name in design.described},
+            quantities={name: _quantity(tables, name) for name in design.described},
             limits={
                 limit.name: _limit(
                     limit,
@@ -117,7 +116,7 @@ def results_of(
             },
             not_judged=design.not_judged,
             dependence=[_dependence(tie) for tie in study.dependence],
-            correlations=[*_correlations(design, tables)],
+            correlations=[*_correlations(tables)],
         ),
         inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
         answers=answers,
@@ -178,15 +177,14 @@ def free_number_of(design: Design) -> FreeNumber | None:
     )
 
 
-def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
-    source = source_of(design, tables)
-    values = source.values(name)
+def _quantity(tables: Tables, name: str) -> QuantityEntry:
+    values = tables.source.values(name)
     finite = values[np.isfinite(values)]
     places = [0.05, 0.5, 0.95]
     ends = [math.nan] * len(places)
     if finite.size:
         ends = np.quantile(finite, places).tolist()
-    answers = described(design, tables, name).quantiles
+    answers = tables.described(name).quantiles
     for place, p in enumerate(places):
         answer = answers[p].value if p in answers else None
         if answer is not None:
@@ -206,9 +204,9 @@ def _quantity(design: Design, tables: Tables, name: str) -> QuantityEntry:
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
         range=(low, median, high),
-        method_of_indices=source.index_method(name),
+        method_of_indices=tables.source.index_method(name),
         density=density(values),
-        onset=onset_of(design.study) if name == "p_max" else None,
+        onset=onset_of(tables.design.study) if name == "p_max" else None,
         expansion_error=left,
         held_out=pairs,
     )
@@ -221,9 +219,9 @@ def _some(outputs: Array, predicted: Array) -> list[list[float]]:
     return [[float(f"{number:.5g}") for number in row] for row in chosen]
 
 
-def _correlations(design: Design, tables: Tables) -> Iterator[CorrelationEntry]:
+def _correlations(tables: Tables) -> Iterator[CorrelationEntry]:
     """Correlation of the quantities of interest, in pairs."""
-    names = design.study.analysis.quantities[:MOST_CORRELATED]
+    names = tables.design.study.analysis.quantities[:MOST_CORRELATED]
     for first, second in itertools.combinations(names, 2):
         columns = np.stack([tables.sample.answer(name).ravel() for name in (first, second)])
         columns = columns[:, np.isfinite(columns).all(axis=0)]
@@ -394,8 +392,9 @@ def versions() -> dict[str, str]:
     return numbers
 
 
-def samples_of(design: Design, tables: Tables) -> dict[str, Array | Flags]:
+def samples_of(tables: Tables) -> dict[str, Array | Flags]:
     """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
+    design = tables.design
     sample = tables.rows
     head = sample.head(MOST_ROWS // sample.replicates)
     table: dict[str, Array | Flags] = {name: head.input(name).ravel() for name in head.names}

@@ -154,7 +154,7 @@ def cost(study: Study) -> str:
     began = time.monotonic()
     with threadpool_limits(limits=1, user_api="blas"), Model(design.judged) as model:
         tables = grow(design, model, seconds=budget.time)
-        _, tables = judge(design, model, tables, began + budget.time)
+        _, tables = judge(model, tables, began + budget.time)
     took = time.monotonic() - began
     runs, error = tables.reached[-1]
     error = max(error or 0.0, 1.0)
