@@ -23,10 +23,9 @@ import numpy as np
 from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
-from uqsphere.propagation.decision import Settled, Settling
+from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.demands import column_of, strength_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.doubts import alternatives
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import Line
 from uqsphere.propagation.promise import gains_of
@@ -48,21 +47,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         aims = [one.line for one in judged if one.line is not None]
         rows = []
         for word in asked.words or ["25", "100"]:
-            rows += _tried(text, model, aims, int(word), asked.repetitions)
+            rows += _tried(text, aims, int(word), asked.repetitions)
     head = ["aim", "tests", "10 %", "50 %", "90 %", "seen", "inside", "below", "above", "kept"]
     print(table(head, rows))
     return 0
 
 
-def _tried(
-    text: str, model: Model, aims: Sequence[Settled], n: int, repetitions: int
-) -> list[list[str]]:
+def _tried(text: str, aims: Sequence[Settled], n: int, repetitions: int) -> list[list[str]]:
     """Rows of the table: what was foretold for n tests, and what series of n tests gave."""
     law, rng = _strength(aims[0].aim.limits[0])[0], np.random.default_rng(n)
     numbers: list[list[float]] = []
     for k in range(repetitions):
         forces = law.ppf(rng.random(n))
-        numbers.append([_number(settled) for settled in _anew(text, model, aims, forces)])
+        numbers.append([_number(settled) for settled in _anew(text, aims, forces)])
         if k % 10 == 9:
             tell(f"{n} tests: {k + 1} of {repetitions} series")
     return [_row(settled, n, seen) for settled, seen in zip(aims, np.array(numbers).T, strict=True)]
@@ -97,7 +94,7 @@ def _strength(limit: Limit) -> tuple[Law, Tested]:
     return law, tested
 
 
-def _anew(text: str, model: Model, aims: Sequence[Settled], forces: Array) -> list[Settled]:
+def _anew(text: str, aims: Sequence[Settled], forces: Array) -> list[Settled]:
     """The decisions by other tests, those beyond the load cell being stopped, as today."""
     law, tested = _strength(aims[0].aim.limits[0])
     stop = min(law.censored, default=np.inf)
@@ -118,7 +115,7 @@ def _anew(text: str, model: Model, aims: Sequence[Settled], forces: Array) -> li
             for value, sample in today.line.samples.items()
         }
         line = Line(design=design, samples=samples)
-        settled.append(Settling(model=model, others=[*alternatives(aim)]).once(aim, line))
+        settled.append(Settled(aim=aim, line=line))
     return settled
 
 

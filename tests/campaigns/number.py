@@ -131,7 +131,7 @@ def _rows_at(
     if margins.solve in points.names:
         moving = points.input(margins.solve)
     sample = evaluate(design, model, points, {margins.solve: moving})
-    yielding = judged.settling.yielding
+    yielding = judged.aim.yielding
     if settled.governing.code != "contact law" or yielding is None:
         return sample
     fresh = YieldingRows(design=yielding.design, evaluated={})

@@ -20,7 +20,7 @@ from uqsphere.propagation import promise
 from uqsphere.propagation import verdict as verdicts
 from uqsphere.propagation.demands import demands_of
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.doubts import Curves, alternatives
+from uqsphere.propagation.doubts import Curves
 from uqsphere.propagation.failure_modes import least_factor, standing
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import plan_of
@@ -373,7 +373,7 @@ def test_another_distribution_of_the_tests_keeps_the_declared_size_law(tmp_path:
     assert tested is not None
     assert isinstance(tested.law, Law)
     assert tested.exponent == pytest.approx(2.0 - 3.0 / tested.law.parameters["modulus"])
-    others = {other.detail: other.laws for other in alternatives(aim) if other.code == "tests"}
+    others = {other.detail: other.laws for other in aim.others if other.code == "tests"}
     assert set(others) == {"weibull", "lognormal"}
     with Model(design.judged) as model:
         line = plan_of(design, evaluate(design, model, design.points(1)))
@@ -505,7 +505,6 @@ def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
     judged: Any = SimpleNamespace(
         settled=SimpleNamespace(governing=SimpleNamespace(code="tests", limit=None)),
         line=None,
-        settling=SimpleNamespace(best=None),
         aim=SimpleNamespace(design=SimpleNamespace(subject=lambda limit: "limits.whole")),
     )
     caveats = [Caveat(code="rate", subject="limits.whole.strength")]

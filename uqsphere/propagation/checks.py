@@ -20,7 +20,7 @@ from uqsphere.uq.estimate import count_bound
 from .decision import Settled
 from .design import Design
 from .limits import failure_given_inputs
-from .line import Line, YieldingRows, inputs_at, plan_of
+from .line import Line, inputs_at, plan_of
 from .tables import Tables
 
 #: rows that are checked
@@ -193,15 +193,13 @@ _RANGE = ("small_contact", "deep_dent", "plastic_range")
 _YIELD = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
 
 
-def caveats_of(
-    settled: Settled, yielding: YieldingRows | None, checks: Sequence[Check]
-) -> Iterator[Caveat]:
+def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     """Why the verdict of an aim is not established; nothing where nothing holds it."""
     design = settled.aim.design
     governing = settled.governing
     if governing.code == "assumed strength":
         yield Caveat(code="assumed strength", subject=design.subject(governing.limit))
-    yield from _model_range(settled, yielding, checks)
+    yield from _model_range(settled, checks)
     # a sphere that is more than half larger, or a third smaller, than all tested ones
     diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
     for limit in settled.aim.limits:
@@ -225,9 +223,7 @@ def caveats_of(
             yield Caveat(code="synthetic tests", subject=name)
 
 
-def _model_range(
-    settled: Settled, yielding: YieldingRows | None, checks: Sequence[Check]
-) -> Iterator[Caveat]:
+def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     """Checks that fail in the rows that fail: those of the plan, and those of the model's range at
     the number to use, where contacts can yield by contacts that do.
     """
@@ -244,8 +240,8 @@ def _model_range(
     if settled.use is not None and not study.black_box:
         nearest = line.values[np.argmin(np.abs(line.places - line.place_of(settled.use)))]
         under = replace(line, samples={nearest: line.few.samples[nearest]})
-        if yielding is not None:
-            under = yielding.along(under) or under
+        if settled.aim.yielding is not None:
+            under = settled.aim.yielding.along(under) or under
         yields: Sequence[str] = ()
         if under.design.study.options.get("contact.law", "hertz") == "hertz":
             yields = _YIELD

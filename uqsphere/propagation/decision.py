@@ -18,8 +18,8 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.uq import student
 
-from .doubts import Aim, Alternative, Curves, Doubt
-from .line import Line, YieldingRows, refined
+from .doubts import Aim, Curves, Doubt
+from .line import Line, refined
 
 #: points of a replicate near the number to use, at first and at most
 _FIRST = 64
@@ -32,19 +32,14 @@ _CLOSE = 1e-3
 
 @frozen(eq=False)
 class Settled(Curves):
-    """Where the doubts of an aim leave the free number.
-
-    others : everything of the limits that may be otherwise
-    """
-
-    others: Sequence[Alternative]
+    """Where the doubts of an aim leave the free number."""
 
     @cached_property
     def doubts(self) -> list[Doubt]:
         """Every doubt of the limits of the aim."""
         doubts: list[Doubt] = []
         for limit in self.aim.limits:
-            others = [other for other in self.others if other.limit.name == limit.name]
+            others = [other for other in self.aim.others if other.limit.name == limit.name]
             doubts += [self.computed(limit), *map(self.otherwise, others)]
             doubts += self.contacts_yield(limit, others)
         return doubts
@@ -109,79 +104,57 @@ class Settled(Curves):
         candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
-
-@frozen(eq=False)
-class Settling:
-    """How the number of an aim is found.
-
-    others : everything of the limits that may be otherwise
-    yielding : rows with contacts that yield; None where the study has such
-    end : when the time for more rows is over, by the monotonic clock [s]
-    """
-
-    model: Model
-    others: Sequence[Alternative]
-    yielding: YieldingRows | None = None
-    end: float = math.inf
-
-    def once(self, aim: Aim, line: Line) -> Settled:
-        """The number of an aim by the rows at hand."""
-        yielding = None
-        if self.yielding is not None:
-            yielding = self.yielding.along(line.few)
-        return Settled(aim=aim, line=line, yielding=yielding, others=self.others)
-
-    def accurately(self, aim: Aim, line: Line) -> Settled:
-        """The number of an aim, with rows added until the governing curve is accurate there."""
-        required = self.model.study.analysis.accuracy.probability
-        count = _FIRST
-        replicates = line.rows.replicates
-        settled = self.once(aim, line)
-        for _ in range(_PASSES):
-            number = settled.use
-            line = settled.line
-            if number is None:
-                break
-            distances = np.abs(line.places - line.place_of(number))
-            nearest = np.argmin(distances)
-            there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
-            if there and line.samples[line.values[nearest]].count >= count:
-                doubt = settled.governing
-                allowed = doubt.limit.allowable
-                half = student(replicates) * doubt.error[nearest]
-                if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
-                    break
-                count *= 2
-            above = int(np.searchsorted(line.values, number))
-            wanted = line.values[max(above - 1, 0) : above + 1]
-            if not there:
-                wanted = (*wanted, number)
-            if not self._affords(len(wanted) * count * replicates):
-                break
-            try:
-                line = refined(line, self.model, dict.fromkeys(wanted, count))
-            except Interrupted:
-                break
-            count = max(count, min(line.samples[value].count for value in wanted))
-            settled = self.once(aim, line)
-        return settled
-
-    def _affords(self, rows: int) -> bool:
-        """Whether budget and time allow so many more model runs."""
-        runs = self.model.evaluations + self.model.reused
-        took = rows * self.model.seconds_per_row
-        within = runs + rows <= self.model.study.analysis.budget.evaluations
-        return within and time.monotonic() + took < self.end
-
-    def best(self, settled: Settled) -> float | None:
+    @property
+    def best(self) -> float | None:
         """The number once the doubt that governs is gone: the failure mode, or a limit that leaves
         no number, left out; else by the other doubts.
         """
-        governing = settled.governing
-        aim = settled.aim
-        alone = aim.limits == (governing.limit,)
-        if governing.code == "assumed strength" or (settled.number is None and not alone):
-            return self.once(aim.without(governing.limit.name), settled.line).number
+        governing = self.governing
+        alone = self.aim.limits == (governing.limit,)
+        if governing.code == "assumed strength" or (self.number is None and not alone):
+            return Settled(aim=self.aim.without(governing.limit.name), line=self.line).number
         gone = governing.key[:2]
-        rest = [doubt.margin for doubt in settled.doubts if doubt.key[:2] != gone]
-        return settled.most_conservative(rest or [None])
+        rest = [doubt.margin for doubt in self.doubts if doubt.key[:2] != gone]
+        return self.most_conservative(rest or [None])
+
+
+def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settled:
+    """The number of an aim, with rows added until the governing curve is accurate there, as far as
+    the budget allows, and the time until `end` of the monotonic clock [s].
+    """
+    analysis = model.study.analysis
+    required = analysis.accuracy.probability
+    count = _FIRST
+    replicates = line.rows.replicates
+    settled = Settled(aim=aim, line=line)
+    for _ in range(_PASSES):
+        number = settled.use
+        line = settled.line
+        if number is None:
+            break
+        distances = np.abs(line.places - line.place_of(number))
+        nearest = np.argmin(distances)
+        there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
+        if there and line.samples[line.values[nearest]].count >= count:
+            doubt = settled.governing
+            allowed = doubt.limit.allowable
+            half = student(replicates) * doubt.error[nearest]
+            if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
+                break
+            count *= 2
+        above = int(np.searchsorted(line.values, number))
+        wanted = line.values[max(above - 1, 0) : above + 1]
+        if not there:
+            wanted = (*wanted, number)
+        rows = len(wanted) * count * replicates
+        if model.evaluations + model.reused + rows > analysis.budget.evaluations:
+            break
+        if time.monotonic() + rows * model.seconds_per_row >= end:
+            break
+        try:
+            line = refined(line, model, dict.fromkeys(wanted, count))
+        except Interrupted:
+            break
+        count = max(count, min(line.samples[value].count for value in wanted))
+        settled = Settled(aim=aim, line=line)
+    return settled

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, frozen, special
+from uqsphere.arrays import Array, frozen, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
@@ -36,7 +36,7 @@ from uqsphere.uq.joint import FREE
 from .demands import strength_of
 from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
-from .line import Line, score
+from .line import Line, YieldingRows, score
 
 #: strengths that tests allow
 LAWS = 400
@@ -49,6 +49,8 @@ class Aim:
     limits : in the order of the study
     untargeted : limits of the study without a target that mean fracture, and add up with the others
     modes : those with an assumed strength that mean fracture; none for a sphere that must break
+    others : everything of the limits that may be otherwise
+    yielding : rows with contacts that yield; None where the study has such, or none would
     """
 
     design: Design
@@ -56,21 +58,13 @@ class Aim:
     limits: tuple[Limit, ...]
     untargeted: tuple[Limit, ...] = ()
     modes: tuple[AssumedMode, ...] = ()
+    others: Sequence[Alternative] = ()
+    yielding: YieldingRows | None = None
 
     @property
     def survive(self) -> bool:
         """Whether exceedance is what must not happen."""
         return self.word == "survive"
-
-    def failure(self, exceeded: Values) -> Values:
-        """Failure probability from that of exceedance."""
-        if self.survive:
-            return exceeded
-        return 1.0 - exceeded
-
-    def keeps(self, exceeded: Values, limit: Limit) -> Values:
-        """Whether probabilities of exceedance keep the target of a limit."""
-        return self.failure(exceeded) <= limit.target
 
     @cached_property
     def groups(self) -> list[list[Limit]]:
@@ -145,9 +139,9 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
 # --- what may be otherwise ------------------------------------------------------------------------
 
 
-def alternatives(aim: Aim) -> Iterator[Alternative]:
-    """Every strength of an aim's limits that may be otherwise, and every tie to the inputs."""
-    for limit in aim.limits:
+def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternative]:
+    """Every strength of limits that may be otherwise, and every tie to the inputs."""
+    for limit in limits:
         law = strength_of(limit)
         if not isinstance(law, Law):
             continue
@@ -155,11 +149,11 @@ def alternatives(aim: Aim) -> Iterator[Alternative]:
         strengths = other_distributions(law)
         if is_fitted(law):
             code = "tests"
-            strengths = strengths_allowed(aim.design, limit)
+            strengths = strengths_allowed(design, limit)
         for name, laws in strengths.items():
             yield Alternative(code=code, limit=limit, detail=name, laws=laws)
         tied = strength_name(limit.name)
-        if any(tied in tie.of for tie in aim.design.study.dependence):
+        if any(tied in tie.of for tie in design.study.dependence):
             yield Alternative(code="tie", limit=limit)
 
 
@@ -217,14 +211,10 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
 
 @frozen(eq=False)
 class Curves:
-    """The limits of an aim along a line, alone and with the other failure modes.
-
-    yielding : the rows of `line.few` with contacts that yield; None where none would
-    """
+    """The limits of an aim along a line, alone and with the other failure modes."""
 
     aim: Aim
     line: Line
-    yielding: Line | None = None
 
     @cached_property
     def held(self) -> dict[str, Array]:
@@ -243,6 +233,13 @@ class Curves:
             if others:
                 held |= dict.fromkeys([limit.name for limit in group], np.prod(others, axis=0))
         return held
+
+    @cached_property
+    def yielding(self) -> Line | None:
+        """The rows of `line.few` with contacts that yield; None where none would."""
+        if self.aim.yielding is None:
+            return None
+        return self.aim.yielding.along(self.line.few)
 
     @cached_property
     def few(self) -> Curves:
@@ -280,7 +277,7 @@ class Curves:
 
         if len(curve) < 2:
             return None
-        missed = np.flatnonzero(~self.aim.keeps(curve, limit))
+        missed = np.flatnonzero(limit.missed(curve) > limit.target)
         if not missed.size:
             return math.inf
         k = missed[-1] + 1

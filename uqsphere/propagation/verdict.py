@@ -35,14 +35,14 @@ from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
 
 from .checks import Check, caveats_of
-from .decision import Settled, Settling
+from .decision import Settled, settled_accurately
 from .demands import number_of_tests, strength_of
 from .design import Design
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import means_fracture
 from .fragility import planned_value
 from .limits import failure
-from .line import line_of, plan_of, refined, yielding_rows
+from .line import YieldingRows, line_of, plan_of, refined, yielding_rows
 from .promise import gains_of
 from .tables import Tables
 
@@ -60,7 +60,6 @@ class Judged:
     all_modes : the same of the limits by everything that is judged
     """
 
-    settling: Settling
     plan: Settled
     line: Settled | None
     probability: dict[str, Estimate]
@@ -103,20 +102,19 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
     yielding = yielding_rows(design)
     planned = planned_value(design)
     for word in dict.fromkeys(limit.aim for limit in design.limits):
-        aim = aim_of(design, word)
-        settling = Settling(model=model, others=[*alternatives(aim)], yielding=yielding, end=end)
-        plan = settling.once(aim, plan_of(design, tables.sample.head(_AT_PLAN)))
+        aim = aim_of(design, word, yielding)
+        plan = Settled(aim=aim, line=plan_of(design, tables.sample.head(_AT_PLAN)))
         line = line_of(tables)
         settled = None
         if line is not None:
             if tables.surrogate is not None or tables.stopped == "interrupted":
-                settled = settling.once(aim, line)
+                settled = Settled(aim=aim, line=line)
             else:
-                settled = settling.accurately(aim, line)
+                settled = settled_accurately(model, aim, line, end)
                 if planned is not None and _turns_back(settled, plan, planned):
                     with suppress(Interrupted):
                         line = refined(settled.line, model, {planned: plan.line.rows.count})
-                        settled = settling.accurately(aim, line)
+                        settled = settled_accurately(model, aim, line, end)
             if tables.line:
                 tables = replace(tables, line=settled.line.samples)
         probability = _at_plan(tables, Curves(aim=replace(aim, modes=()), line=plan.line))
@@ -125,7 +123,6 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
                 probability[mode.limit.name] = failure(tables, mode.limit)
         judged.append(
             Judged(
-                settling=settling,
                 plan=plan,
                 line=settled,
                 probability=probability,
@@ -150,18 +147,19 @@ def _turns_back(settled: Settled, plan: Settled, planned: float) -> bool:
         (p,) = plan.middle(limit)
         away = abs(p - line.at(settled.middle(limit), planned))
         error = spread(plan.base(limit)[1][0])
-        if not settled.aim.keeps(p, limit) and away > SURE * error:
+        if limit.missed(p) > limit.target and away > SURE * error:
             return True
     return False
 
 
-def aim_of(design: Design, word: types.Aim) -> Aim:
+def aim_of(design: Design, word: types.Aim, yielding: YieldingRows | None = None) -> Aim:
     """The limits of an aim, and what adds up with them: those without a target are judged only
     where none has one, so that all limits of an aim have one, or none.
     """
     every = [limit for limit in design.limits if limit.aim == word]
     limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
-    aim = Aim(design=design, word=word, limits=limits)
+    others = [*alternatives(design, limits)]
+    aim = Aim(design=design, word=word, limits=limits, others=others, yielding=yielding)
     if not aim.survive or not any(map(means_fracture, limits)):
         return aim
     untargeted = (limit for limit in every if limit not in limits and means_fracture(limit))
@@ -205,14 +203,14 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     governing = settled.governing
     subject = aim.design.subject(governing.limit)
     lead = judged.lead
-    caveats = [*caveats_of(settled, judged.settling.yielding, checks)]
+    caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
     library = _library(judged)
     target = all_modes = own = None
     curve = []
     if judged.line is not None:
         own = _own(judged)
-        points = zip(settled.line.values, aim.failure(settled.middle(lead)), strict=True)
+        points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
         target = settled.setting.limit.target
@@ -288,7 +286,7 @@ def _band(settled: Settled) -> list[CurvePoint]:
     for doubt in sorted(settled.doubts, key=lambda doubt: doubt.key != key):
         if doubt.opposite is not None and len(values) > 1:
             curves = np.array([doubt.curve, doubt.opposite])
-            low, high = np.sort(settled.aim.failure(curves), axis=0).tolist()
+            low, high = np.sort(doubt.limit.missed(curves), axis=0).tolist()
             points = zip(values, low, high, strict=True)
             return [CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
     return []
@@ -297,14 +295,9 @@ def _band(settled: Settled) -> list[CurvePoint]:
 def _own(judged: Judged) -> types.Doubt:
     """What sets the number to use where the study's own limits are judged alone."""
     alone = replace(judged.aim, modes=())
-    once = judged.settling.once
-    plan = once(alone, judged.plan.line)
-    judged = replace(
-        judged,
-        plan=plan,
-        line=once(alone, judged.settled.line),
-        all_modes=judged.probability,
-    )
+    plan = Settled(aim=alone, line=judged.plan.line)
+    line = Settled(aim=alone, line=judged.settled.line)
+    judged = replace(judged, plan=plan, line=line, all_modes=judged.probability)
     setting = judged.settled.setting
     at_plan = next((doubt.curve[0] for doubt in plan.doubts if doubt.key == setting.key), None)
     return _row(judged, setting, at_plan)
@@ -323,7 +316,7 @@ def _library(judged: Judged) -> LibraryRange | None:
     for law in (mode.weak, mode.strong):
         other = replace(mode, limit=replace(mode.limit, strength=law))
         taken = replace(rest, modes=(*rest.modes, other))
-        numbers.append(judged.settling.once(taken, settled.line).number)
+        numbers.append(Settled(aim=taken, line=settled.line).number)
     weak, strong = numbers
     return LibraryRange(mode=mode.called, middle=settled.number, weak=weak, strong=strong)
 
@@ -355,9 +348,9 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
         note = "everywhere"
     at_number = at_plan = None
     if settled.use is not None:
-        at_number = aim.failure(settled.line.at(doubt.curve, settled.use))
+        at_number = limit.missed(settled.line.at(doubt.curve, settled.use))
     if exceeded is not None:
-        at_plan = aim.failure(exceeded)
+        at_plan = limit.missed(exceeded)
     code = doubt.code
     option = doubt.detail
     if code == "computation":
@@ -416,7 +409,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
         return planned <= margin
     if doubt.code == "computation":
         return target_met(judged.all_modes[limit.name], limit.target) is True
-    return bool(judged.aim.keeps(doubt.curve[0], limit))
+    return bool(limit.missed(doubt.curve[0]) <= limit.target)
 
 
 #: the remedy of each doubt
@@ -441,7 +434,6 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
     settled = judged.settled
     line = judged.line
-    best = judged.settling.best
     governing = settled.governing
     design = judged.aim.design
     subject = design.subject(governing.limit)
@@ -454,7 +446,7 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     at_best = None
     if line is not None and governing.code != "assumed strength" and line.use is None:
         if line.number is None and len(judged.aim.limits) > 1:
-            at_best = best(line)
+            at_best = line.best
         return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":
         return Remedy(code="nothing")
@@ -465,7 +457,7 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
         remedy = "replace the synthetic tests"
     gains: list[TestsGain] = []
     if remedy is not None and line is not None:
-        at_best = best(line)
+        at_best = line.best
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
@@ -504,13 +496,13 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         at = "assumed: " + _TEXTS[doubt.code].format(name)
         if doubt.code == "contact law" and name:
             at += f", {name} strength"
-        value = aim.failure(doubt.single)[0]
+        value = limit.missed(doubt.single[0])
     else:
         at = f"tests: {doubt.detail}"
         if isinstance(law, Law) and law.family.name == doubt.detail:
             at = "tests"
-        low, high = sorted(aim.failure(end)[0] for end in (doubt.curve, doubt.opposite))
-        value = np.clip(aim.failure(judged.plan.middle(limit))[0], low, high)
+        low, high = sorted(limit.missed(end[0]) for end in (doubt.curve, doubt.opposite))
+        value = np.clip(limit.missed(judged.plan.middle(limit)[0]), low, high)
         note = (
             f"{LEVEL_TEXT} range over the strengths that the tests allow, with the other failure "
             "modes"

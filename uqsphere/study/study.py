@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import BaseModel
 
-from uqsphere.arrays import Array, Names, frozen
+from uqsphere.arrays import Array, Names, Values, frozen
 from uqsphere.documents import path_of, within
 from uqsphere.files import Json
 from uqsphere.materials import Property
@@ -69,7 +69,7 @@ class Limit:
     @property
     def allowable(self) -> float:
         """The probability of exceedance at which the target is just met."""
-        return self.missed(self.target)
+        return float(self.missed(self.target))
 
     @property
     def negligible(self) -> float:
@@ -78,8 +78,8 @@ class Limit:
             return 0.01 * self.target
         return 1e-8
 
-    def missed(self, probability: float) -> float:
-        """The failure probability at a probability of exceedance, or the other way round: its
+    def missed(self, probability: Values) -> Values:
+        """The failure probability at probabilities of exceedance, or the other way round: its
         complement for a sphere that must break.
 
         >>> Limit(name="broken", quantity="P_max", strength=1e3, aim="break").missed(0.75)
