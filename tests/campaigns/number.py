@@ -29,7 +29,7 @@ from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.free_number import moved
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import Line, YieldingRows
-from uqsphere.propagation.tables import evaluate
+from uqsphere.propagation.tables import evaluate, with_number
 from uqsphere.propagation.verdict import Judged, judge
 from uqsphere.study import Limit, load_study, shipped_studies
 from uqsphere.uq import Law, Sample
@@ -127,10 +127,9 @@ def _rows_at(
     points = at_normals(joint, rng.standard_normal((1, rows, len(joint.names))))
     if margins.limit is not None:
         raise ValueError("the free number is a strength")
-    moving = np.full(points.scores.shape[:2], number)
-    if margins.solve in points.names:
-        moving = points.input(margins.solve)
-    sample = evaluate(design, model, points, {margins.solve: moving})
+    if margins.solve not in points.names:
+        points = with_number(points, margins.solve, number)
+    sample = evaluate(design, model, points)
     yielding = judged.aim.yielding
     if settled.governing.code != "contact law" or yielding is None:
         return sample

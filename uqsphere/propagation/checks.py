@@ -20,8 +20,8 @@ from uqsphere.uq.estimate import count_bound
 from .decision import Settled
 from .design import Design
 from .limits import failure_given_inputs
-from .line import Line, inputs_at, plan_of
-from .tables import Tables
+from .line import Line, plan_of
+from .tables import Tables, input_rows
 
 #: rows that are checked
 ROWS = 512
@@ -62,7 +62,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             of_times = check.name == "grazing_contact" and check.grade == "note"
             if not of_times or not _TIMES.isdisjoint(design.columns):
                 yield check.model_copy(update={"effect": effect})
-        _, rows = inputs_at(plan)
+        _, rows = input_rows(plan.rows)
         yield from _later_loading(design, rows)
         yield from _out_of_reach(design, rows)
     slow = tables.surrogate
@@ -109,7 +109,7 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
     for limit in limits:
         state = line.state(current[limit.name])
         weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
-    for result in checked_rows(design.judged, *inputs_at(line), design.columns):
+    for result in checked_rows(design.judged, *input_rows(line.rows), design.columns):
         beyond = result.grades >= 3
         if result.check in yields:
             beyond = result.grades >= 2

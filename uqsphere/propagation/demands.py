@@ -6,7 +6,7 @@ value of the criterion in the rig of the tests, on the row's own sphere, exceeds
 tests.  So the scatter of E and nu in the tests is never counted a second time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -64,19 +64,12 @@ def _factor(limit: Limit, sample: Sample) -> Array | float:
     return number(limit.model_factor)
 
 
-def with_test_forces(
-    design: Design,
-    sample: Sample,
-    moving: Mapping[str, Array],
-    limits: Sequence[Limit] = (),
-) -> Sample:
+def with_test_forces(design: Design, sample: Sample, limits: Sequence[Limit] = ()) -> Sample:
     """An evaluated sample with a column of equivalent test forces for every limit, or some, that
     need them.
-
-    `moving` are values (R, n) of numbers in place of the sample's or the study's.
     """
     shape = sample.scores.shape[:2]
-    varying = {name: sample.input(name) for name in sample.names} | {**moving}
+    varying = {name: sample.input(name) for name in sample.names}
     values: dict[str, Array | float] = {**design.study.at_means(), **varying}
     for limit in limits or design.judged.limits:
         tested = limit.tested

@@ -227,7 +227,7 @@ def fracture(tables: Tables) -> Rows:
         return
     shape = drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
-    names, rows = input_rows(design, sample, {})
+    names, rows = input_rows(sample)
     fractures = fractures_of(
         design.judged,
         names,

@@ -23,7 +23,7 @@ from uqsphere.uq import LimitState, Sample, tails
 from .design import VALUES, Design
 from .free_number import demand_factor, grid, moved
 from .limits import state_of
-from .tables import Tables, answered, evaluate, input_rows
+from .tables import Tables, answered, evaluate, input_rows, with_number
 
 #: points of a replicate, where every value of the free number has the same rows
 _SHARED = 1024
@@ -137,23 +137,6 @@ def score(probability: Array | float) -> Array:
     return special.ndtri(np.clip(probability, 1e-300, 1.0 - 1e-16))
 
 
-def moving_at(design: Design, values: Values) -> dict[str, Array]:
-    """The free number at a value for all rows, or for each, where it is a fixed number of the
-    model's rows; nan is the plan.
-    """
-    margins = design.study.margins
-    if margins is None or margins.limit is not None or margins.solve in design.inputs:
-        return {}
-    if np.isnan(values).any():
-        return {}
-    return {margins.solve: np.asarray(values)}
-
-
-def inputs_at(line: Line) -> tuple[list[str], Array]:
-    """Names and values (n, d) of the model's inputs in the rows of a line of one value."""
-    return input_rows(line.design, line.rows, moving_at(line.design, line.values[0]))
-
-
 def plan_of(design: Design, sample: Sample) -> Line:
     """The line that is the plan alone."""
     return Line(design=design, samples={math.nan: sample})
@@ -176,6 +159,7 @@ def evaluated_at(
     """Rows at values of the free number, at least so many of a replicate at some, those that are
     there continued; all in one evaluation.
     """
+    margins = design.study.margins
     parts = {}
     for value, count in counts.items():
         start = 0
@@ -183,12 +167,14 @@ def evaluated_at(
             start = before[value].count
         if start < count:
             joint = moved(design.study, value).inputs().only(design.drawn.names)
-            parts[value] = design.points(count - start, start, joint=joint)
+            points = design.points(count - start, start, joint=joint)
+            if margins is not None and margins.solve not in design.inputs:
+                points = with_number(points, margins.solve, value)
+            parts[value] = points
     if not parts:
         return before
     first, *others = parts.values()
-    moving = moving_at(design, np.repeat([*parts], [part.count for part in parts.values()]))
-    rows = evaluate(design, model, first.join(*others), moving)
+    rows = evaluate(design, model, first.join(*others))
     samples = dict(before)
     end = 0
     for value, part in parts.items():
@@ -225,18 +211,13 @@ class YieldingRows:
         samples = {}
         for value, sample in line.samples.items():
             if value not in self.evaluated or self.evaluated[value].count < sample.count:
-                self.evaluated[value] = self._evaluated(value, sample)
+                design = self.design
+                answers = evaluate_scene(design.judged, *input_rows(sample), design.columns)
+                self.evaluated[value] = answered(design, sample, answers)
             samples[value] = self.evaluated[value].head(sample.count)
             if samples[value].failed.all():
                 return None
         return Line(design=self.design, samples=samples)
-
-    def _evaluated(self, value: float, sample: Sample) -> Sample:
-        design = self.design
-        moving = moving_at(design, value)
-        names, rows = input_rows(design, sample, moving)
-        answers = evaluate_scene(design.judged, names, rows, design.columns)
-        return answered(design, sample, answers, moving)
 
 
 def yielding_rows(design: Design) -> YieldingRows | None:

@@ -156,7 +156,7 @@ def _design_point(tables: Tables, limit: Limit) -> Mapping[str, float]:
     def answered(points: Sample) -> Sample:
         values = values_at(design, expansion, points.scores)
         sample = points.with_answers((limit.quantity,), values[:, :, None])
-        return with_test_forces(design, sample, {}, [limit])
+        return with_test_forces(design, sample, [limit])
 
     points = find_design_points(_problem(design, limit, answered, MOST_VALUES))
     return _physical(design, limit, answered, points)

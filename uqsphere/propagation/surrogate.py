@@ -32,7 +32,7 @@ from .grow import accuracies, first_rows
 from .limits import failure
 from .progress import Progress
 from .slow import Slow
-from .tables import Tables, check_failures, check_sizes, evaluate, input_rows
+from .tables import Tables, check_failures, check_sizes, evaluate, input_rows, with_number
 
 #: rows that measure what the model costs, and rows of a design at most and at least
 PROBE, MOST_ROWS, LEAST_ROWS = 8, 1024, 16
@@ -59,7 +59,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
     if analysis.cost is not None:
         return analysis.cost * first > seconds
     try:
-        names, rows = input_rows(design, _design(design, PROBE), {})
+        names, rows = input_rows(_design(design, PROBE))
         model.evaluate(names, rows[:1], design.columns)
         seconds_per_row = model.seconds_per_row or 0.0
         if seconds_per_row * LEAST_ROWS > max(seconds, ALWAYS):
@@ -290,10 +290,10 @@ def _lines(
     normals = points[:, :-1]
     joints = (moved(design.study, value).inputs().only(names) for value in values.tolist())
     physical = np.array([joint.physical(row) for joint, row in zip(joints, normals, strict=True)])
-    moving = {}
+    chosen = Sample.at(names, normals[None], physical[None])
     if margins.solve not in design.inputs:
-        moving[margins.solve] = values
-    rows = evaluate(design, model, Sample.at(names, normals[None], physical[None]), moving)
+        chosen = with_number(chosen, margins.solve, values)
+    rows = evaluate(design, model, chosen)
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     answers = rows.answers[0]
     good = np.isfinite(answers).all(axis=1)

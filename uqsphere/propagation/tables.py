@@ -7,17 +7,18 @@ ask the `source` of their tables.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, frozen
+from uqsphere.arrays import Array, Places, Values, frozen
 from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import IndexMethod, Stop
+from uqsphere.study import limit_of
 from uqsphere.uq import Estimate, Sample, absent, exact
 from uqsphere.uq.describe import Description, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, count_bound
@@ -205,22 +206,20 @@ class Tables:
         return dict.fromkeys(self.design.inputs, (nothing, nothing))
 
 
-def input_rows(
-    design: Design, points: Sample, moving: Mapping[str, Array]
-) -> tuple[list[str], Array]:
-    """Names and values (R n, d) of the model's inputs at points; `moving` are values of fixed
-    numbers that move from point to point, for all replicates at once or (R, n).
-    """
-    names = [*design.inputs, *moving]
-    rows = np.empty((*points.scores.shape[:2], len(names)))
-    for place, column in enumerate([*map(points.input, design.inputs), *moving.values()]):
-        rows[:, :, place] = column
-    return names, rows.reshape(points.size, len(names))
+def with_number(points: Sample, name: str, values: Values) -> Sample:
+    """Points with a fixed number of the study that moves: its value, or values (n,) or (R, n)."""
+    column = np.broadcast_to(values, points.scores.shape[:2])
+    return replace(points, names=(*points.names, name), inputs=np.dstack([points.inputs, column]))
 
 
-def answered(
-    design: Design, points: Sample, answers: EvaluatedRows, moving: Mapping[str, Array]
-) -> Sample:
+def input_rows(points: Sample) -> tuple[list[str], Array]:
+    """Names and values (R n, d) of the model's inputs at points."""
+    names = [name for name in points.names if limit_of(name) is None]
+    places = [points.names.index(name) for name in names]
+    return names, points.inputs[:, :, places].reshape(points.size, len(names))
+
+
+def answered(design: Design, points: Sample, answers: EvaluatedRows) -> Sample:
     """Points with the answers of the model at their `input_rows`, test forces among them; one
     answer serves all of them.
     """
@@ -234,23 +233,15 @@ def answered(
         status=status,
         failed=status != 0,
     )
-    return with_test_forces(design, sample, moving)
+    return with_test_forces(design, sample)
 
 
-def evaluate(
-    design: Design,
-    model: Model,
-    points: Sample,
-    moving: Mapping[str, Array] | None = None,
-    *,
-    part: bool = False,
-) -> Sample:
-    """Points (R, n) with all columns; `moving` as in `input_rows`.
+def evaluate(design: Design, model: Model, points: Sample, *, part: bool = False) -> Sample:
+    """Points (R, n) with all columns.
 
     part : of a design whose failures are counted when it is whole
     """
-    moving = moving or {}
-    names, rows = input_rows(design, points, moving)
+    names, rows = input_rows(points)
     if not names:
         rows = rows[:1]  # all are the same
     answers = model.evaluate(names, rows, design.columns)
@@ -258,7 +249,7 @@ def evaluate(
         check_sizes(design, answers.values)
     if not part or design.study.analysis.policy == "abort":
         check_failures(design, answers.status, answers.note)
-    return answered(design, points, answers, moving)
+    return answered(design, points, answers)
 
 
 def check_sizes(design: Design, values: Array) -> None:

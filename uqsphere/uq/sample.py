@@ -21,9 +21,9 @@ class Sample:
 
     Attributes
     ----------
-    names : the D random variables, in the order of the columns
+    names : the D random variables, in the order of the columns; behind them numbers that move
     scores, inputs : their independent standard normals and their physical values [SI], (R, n, D)
-        each
+        each; numbers that move have values alone
     quantities : the q answers, in the order of the columns; none before the rows are evaluated
     answers, censored : values [SI], and whether they outlast the record, (R, n, q) each
     status, failed : the model's code of each row, and whether an answer of it is missing, (R, n)
