@@ -168,7 +168,7 @@ def run(
         cost = Cost(
             runs=evaluator.evaluations + evaluator.reused,
             reused=evaluator.reused,
-            seconds=time.monotonic() - started,
+            seconds=round(time.monotonic() - started, 2),
         )
         results = results_of(tables, answers, decisions, checked, cost)
         write_log(out, f"ended: {tables.stopped} after {cost.seconds:.1f} s")

@@ -20,17 +20,19 @@ interval (`_beyond`).
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
+from itertools import combinations
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array, Values, frozen, special
-from uqsphere.uq import Sample
+from uqsphere.arrays import Array, Flags, Values, frozen, special
+from uqsphere.uq import Estimate, Sample, from_replicates
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
 from uqsphere.uq.chaos import integrals as integrals_of
 from uqsphere.uq.corrected import block_parts
-from uqsphere.uq.estimate import spread, student
+from uqsphere.uq.estimate import ratio_of_means, spread, student
 from uqsphere.uq.response import REJECTED
 
 from .design import Design
@@ -48,6 +50,9 @@ MOST_LEFT, CONTROL = 0.05, 1e-3
 GOOD = 0.01
 #: points in the tail of an input, on either side
 TAIL_POINTS = 64
+METHOD = "polynomial chaos, corrected by rows"
+#: first and total index by input, and second ones by "input,input"
+Indices: TypeAlias = Mapping[str, tuple[Estimate, ...]]
 
 
 @frozen(eq=False)
@@ -79,7 +84,7 @@ class Expansion:
         """Moments and indices of the expansion itself."""
         return integrals_of(self.fit)
 
-    def projection(self, which: npt.NDArray[np.bool_], share: float) -> tuple[Array, Array]:
+    def projection(self, which: Flags, share: float) -> tuple[Array, Array]:
         """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is
         left is added.
 
@@ -241,3 +246,57 @@ def points_of(design: Design, normals: Array) -> Array:
 def values_at(design: Design, expansion: Expansion, normals: Array) -> Array:
     """Values of an expansion at independent normals (..., D)."""
     return predict(expansion.fit, points_of(design, normals))
+
+
+# --- Sobol' indices -------------------------------------------------------------------------------
+
+
+def by_chaos(design: Design, expansion: Expansion) -> Indices:
+    """Indices of an expansion, corrected by the rows that it was not fitted to."""
+    form = expansion.fit.plain_form
+    integrals = expansion.integrals
+    active = form.multi_indices > 0
+    many = active.sum(axis=1)
+    everything = (expansion.residuals**2).mean(axis=1)
+    indices = dict[str, tuple[Estimate, ...]]()
+    for k, name in enumerate(design.inputs):
+        least, most = expansion.explained[:, :, k]
+        alone = active[:, k] & (many == 1)
+        first = _index(expansion, alone, integrals.first[k], least, most)
+        least = np.clip(least, 0.0, everything)
+        total = _index(expansion, active[:, k], integrals.total[k], least, everything)
+        if first.value is not None and total.value is not None and total.value < first.value:
+            # a total index is no smaller: the difference is noise of the correction
+            total = replace(total, value=min(first.value, total.high or 1.0))
+        indices[name] = first, total
+    if not design.study.analysis.second_order:
+        return indices
+    for (i, one), (j, other) in combinations(enumerate(design.inputs), 2):
+        which = active[:, i] & active[:, j] & (many == 2)
+        share = 0.0
+        if integrals.sd > 0.0:
+            share = (form.coefficients[which] ** 2).sum() / integrals.sd**2
+        second = _index(expansion, which, share, np.zeros_like(everything), everything)
+        indices[f"{one},{other}"] = (second,)
+    return indices
+
+
+def _index(expansion: Expansion, which: Flags, share: float, least: Array, most: Array) -> Estimate:
+    """One index: that of some terms (T,) of the expansion with their share of its variance, and
+    what its residuals have of the index, `least` to `most` (R-1,).  The value is the middle of
+    both.
+    """
+    numerators, variances = expansion.projection(which, share)
+    ends = []
+    for rest in (least, most):
+        ratio, off = ratio_of_means(numerators + rest, variances)
+        end = from_replicates(ratio + off, METHOD, expansion.residuals.size, float(ratio))
+        if end.value is None or end.low is None or end.high is None:
+            return end
+        ends.append((end.value, end.low, end.high))
+    values, lows, highs = np.transpose(ends)
+    error = expansion.integrals.error + expansion.beyond
+    low = np.clip(lows.min() - error, 0.0, 1.0)
+    high = np.clip(highs.max() + error, low, 1.0)
+    value = np.clip(values.mean(), low, high)
+    return replace(end, value=value).spanning(low, high)

@@ -130,6 +130,17 @@ class Design:
         """The limits of the file that mean fracture of the sphere."""
         return tuple(filter(means_fracture, self.limits))
 
+    @cached_property
+    def planned(self) -> float | None:
+        """The planned value of the free number: the mean that the study gives it."""
+        margins = self.study.margins
+        if margins is None:
+            return None
+        if margins.limit is not None:
+            limit = next(limit for limit in self.limits if limit.name == margins.limit)
+            return number(limit.strength)
+        return self.study.at_means().get(margins.solve)
+
     @property
     def on_failure(self) -> str:
         """What becomes of failed rows, as the estimates take it."""

@@ -22,7 +22,7 @@ from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 from uqsphere.uq.estimate import REPLICATES
 
-from .design import VALUES, Design, number
+from .design import VALUES, Design
 from .free_number import demand_factor, grid
 from .limits import failure_given_inputs, state_of
 from .line import evaluated_at
@@ -40,7 +40,7 @@ def fragility(tables: Tables) -> Rows:
     # those of the sample where the line moves no row
     along = sum(sample.size for sample in tables.line.values())
     runs = tables.predicted_from or along or tables.runs
-    planned = planned_value(design)
+    planned = design.planned
     for limit in design.judged.limits:
         subject = design.subject(limit)
         fitted = curve_of(tables, limit)
@@ -61,17 +61,6 @@ def fragility(tables: Tables) -> Rows:
         yield number_row(
             subject, "safety_factor", margins.solve, *factors, method=METHOD, runs=runs
         )
-
-
-def planned_value(design: Design) -> float | None:
-    """The planned value of the free number: the mean that the study gives it."""
-    margins = design.study.margins
-    if margins is None:
-        return None
-    if margins.limit is not None:
-        limit = next(limit for limit in design.limits if limit.name == margins.limit)
-        return number(limit.strength)
-    return design.study.at_means().get(margins.solve)
 
 
 def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fragility:

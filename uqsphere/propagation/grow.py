@@ -25,14 +25,13 @@ from uqsphere.uq.estimate import REPLICATES, count_bound
 from uqsphere.uq.indices import base_points
 
 from . import rare
-from .chaos import expansions, varies
+from .chaos import by_chaos, expansions, varies
 from .design import VALUES, Design, is_strength, normal_scores
 from .fragility import margin_and_scale
 from .free_number import grid, shares_of, values_at
 from .limits import failure
 from .line import evaluated_at
 from .progress import Progress
-from .sobol import by_chaos
 from .tables import Accuracy, Tables, check_failures, evaluate
 
 #: points of a replicate at first
@@ -221,7 +220,6 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
         count = tables.sample.count // PAIRS_SHARE
         pairs = paired(design, model, count, inaccurate, tables.pairs, rows_left())
         tables = replace(tables, pairs=pairs)
-    tables = replace(tables, descriptions={name: tables.described(name) for name in names})
     return replace(tables, errors=accuracies(tables))
 
 

@@ -72,8 +72,6 @@ def limits(tables: Tables) -> Rows:
 def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
-    if limit.name in tables.failures:
-        return tables.failures[limit.name]
     column = column_of(limit)
     sampled = failure_of_aim(state_of(design, limit, tables.sample), limit.aim)
     if limit.name in tables.rare:

@@ -29,7 +29,6 @@ from .design import VALUES, Design, at_normals, normal_scores
 from .fragility import margin_and_scale
 from .free_number import grid, moved, shares_of, values_at
 from .grow import accuracies, first_rows
-from .limits import failure
 from .progress import Progress
 from .slow import Slow
 from .tables import Tables, check_failures, check_sizes, evaluate, input_rows, with_number
@@ -182,11 +181,6 @@ def tables_of(
     if tables.line:
         margins = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
         tables = replace(tables, predicted_from=most, margins=margins)
-    tables = replace(
-        tables,
-        descriptions={name: slow.describe(name) for name in design.described},
-        failures={limit.name: failure(tables, limit) for limit in design.judged.limits},
-    )
     tables = replace(tables, errors=accuracies(tables))
     if not stopped:
         stopped = "budget" if tables.inaccurate else "accurate"

@@ -22,13 +22,13 @@ from uqsphere.study import limit_of
 from uqsphere.uq import Estimate, Sample, absent, exact
 from uqsphere.uq.describe import Description, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, count_bound
+from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.rows import too_small
 
-from . import chaos
+from .chaos import CONTROL, METHOD, Expansion, Indices, by_chaos, values_at
 from .demands import with_test_forces
 from .design import Design
 from .slow import Slow, described_rows
-from .sobol import METHOD, Indices, by_chaos, by_pairs
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,
 #: and at most: a sample of so many needs no control
@@ -66,8 +66,7 @@ class Tables:
     expansions : polynomial chaos by quantity
     rare : searches for small probabilities by limit
     margins : of limits, each with the scale of its accuracy
-    descriptions : of the quantities that the study asks for
-    failures : failure probabilities by limit, where they are known from the start
+    descriptions : of quantities, kept once they are asked for
     errors : of all answers that have a requirement
     reached : (model runs, largest error over its requirement) at each size
     stopped : why the tables do not grow any more; empty while they do
@@ -80,14 +79,13 @@ class Tables:
     sample: Sample
     line: Mapping[float, Sample] = field(default_factory=dict)
     pairs: Mapping[str, Array] = field(default_factory=dict)
-    expansions: Mapping[str, chaos.Expansion] = field(default_factory=dict)
+    expansions: Mapping[str, Expansion] = field(default_factory=dict)
     rare: Mapping[str, Searched] = field(default_factory=dict)
     margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
-    descriptions: Mapping[str, Description] = field(default_factory=dict)
+    descriptions: dict[str, Description] = field(default_factory=dict)
     errors: Sequence[Accuracy] = ()
     reached: Sequence[tuple[int, float]] = ()
     stopped: Stop = ""
-    failures: Mapping[str, Estimate] = field(default_factory=dict)
     surrogate: Slow | None = None
     predicted_from: int = 0
     fold_line: Mapping[float, Sample] = field(default_factory=dict)
@@ -121,9 +119,9 @@ class Tables:
 
     def described(self, name: str) -> Description:
         """The description of a quantity; the loop and the analyses ask for the same ones."""
-        if name in self.descriptions:
-            return self.descriptions[name]
-        return self.source.describe(name)
+        if name not in self.descriptions:
+            self.descriptions[name] = self.source.describe(name)
+        return self.descriptions[name]
 
     def sobol(self, name: str) -> Indices:
         """First, total and second indices of a quantity."""
@@ -160,12 +158,12 @@ class Tables:
             )
         return described_rows(self.design, sample, name, "sample")
 
-    def _control(self, name: str) -> chaos.Expansion | None:
+    def _control(self, name: str) -> Expansion | None:
         """The expansion of a quantity that is accurate enough to be its control variate."""
         expansion = self.expansions.get(name)
         if expansion is None or self.sample.count >= MOST_MANY:
             return None
-        return expansion if expansion.left + expansion.beyond < chaos.CONTROL else None
+        return expansion if expansion.left + expansion.beyond < CONTROL else None
 
     def values(self, name: str) -> Array:
         """Values (R, n) that stand for the distribution of a quantity: of its control variate at
@@ -175,7 +173,7 @@ class Tables:
         if expansion is None:
             return self.sample.answer(name)
         count = min(MANY * self.sample.count, MOST_MANY)
-        return chaos.values_at(self.design, expansion, self.design.many_normals(count))
+        return values_at(self.design, expansion, self.design.many_normals(count))
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
@@ -198,12 +196,34 @@ class Tables:
         """First and total indices of a quantity for independent inputs, and second ones."""
         reason = heavy_tail(self.sample.outputs(name), certain=True)
         if not reason and name in self.pairs:
-            return by_pairs(self.design, self.pairs[name])
+            return self._by_pairs(self.pairs[name])
         if not reason and name in self.expansions:
             return by_chaos(self.design, self.expansions[name])
         reason = reason or "the quantity does not vary, or has no plain value at every point"
         nothing = absent(reason, METHOD, self.sample.size)
         return dict.fromkeys(self.design.inputs, (nothing, nothing))
+
+    def _by_pairs(self, values: Array) -> Indices:
+        """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
+        whole = np.asarray(np.isfinite(values).all(axis=2))
+        names = self.design.inputs
+        least = whole.sum(axis=1).min()
+        if least < 2:
+            nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
+            return dict.fromkeys(names, (nothing, nothing))
+        kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
+        sampled = sampled_indices(np.stack(kept), self.design.blocks)
+        text = ""
+        if not whole.all():
+            text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
+        first, total = (
+            [replace(index, method=index.method + text) for index in order]
+            for order in (sampled.first, sampled.total)
+        )
+        indices = dict[str, tuple[Estimate, ...]](
+            zip(names, zip(first, total, strict=True), strict=True)
+        )
+        return indices | {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}
 
 
 def with_number(points: Sample, name: str, values: Values) -> Sample:

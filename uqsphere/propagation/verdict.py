@@ -40,7 +40,6 @@ from .demands import number_of_tests, strength_of
 from .design import Design
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import means_fracture
-from .fragility import planned_value
 from .limits import failure
 from .line import YieldingRows, line_of, plan_of, refined, yielding_rows
 from .promise import gains_of
@@ -100,7 +99,7 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
     judged = []
     design = tables.design
     yielding = yielding_rows(design)
-    planned = planned_value(design)
+    planned = design.planned
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word, yielding)
         plan = Settled(aim=aim, line=plan_of(design, tables.sample.head(_AT_PLAN)))
@@ -158,13 +157,19 @@ def aim_of(design: Design, word: types.Aim, yielding: YieldingRows | None = None
     """
     every = [limit for limit in design.limits if limit.aim == word]
     limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
-    others = [*alternatives(design, limits)]
-    aim = Aim(design=design, word=word, limits=limits, others=others, yielding=yielding)
-    if not aim.survive or not any(map(means_fracture, limits)):
-        return aim
-    untargeted = (limit for limit in every if limit not in limits and means_fracture(limit))
-    modes = (mode for mode in design.modes if mode.counts)
-    return replace(aim, untargeted=tuple(untargeted), modes=tuple(modes))
+    untargeted = [limit for limit in every if limit not in limits and means_fracture(limit)]
+    modes = [mode for mode in design.modes if mode.counts]
+    if word == "break" or not any(map(means_fracture, limits)):
+        untargeted, modes = [], []
+    return Aim(
+        design=design,
+        word=word,
+        limits=limits,
+        untargeted=tuple(untargeted),
+        modes=tuple(modes),
+        others=[*alternatives(design, limits)],
+        yielding=yielding,
+    )
 
 
 def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
@@ -213,7 +218,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
-        target = settled.setting.limit.target
+        target = lead.target
         if governing.code == "assumed strength":
             target = governing.limit.target
     else:
@@ -252,7 +257,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     settled = judged.settled
     free = judged.aim.design.study.margins
     number = settled.use
-    planned = planned_value(judged.aim.design)
+    planned = judged.aim.design.planned
     factor = None
     if number is None or free is None:
         return None
@@ -401,7 +406,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     the plan.
     """
     margin = judged.along(doubt)
-    planned = planned_value(judged.aim.design)
+    planned = judged.aim.design.planned
     limit = doubt.limit
     if margin is not None and planned is not None:
         if judged.settled.least and margin != math.inf:

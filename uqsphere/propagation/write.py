@@ -22,7 +22,6 @@ from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
     AccuracyEntry,
     Answer,
-    CheckEntry,
     CorrelationEntry,
     Decision,
     DependenceEntry,
@@ -44,7 +43,6 @@ from .checks import Check
 from .demands import demands_of, number_of_tests, strength_of
 from .design import Design
 from .failure_modes import breaks_by, means_fracture
-from .fragility import planned_value
 from .limits import state_of
 from .quantities import density
 from .tables import Tables
@@ -122,16 +120,14 @@ def results_of(
         answers=answers,
         decisions=decisions,
         evidence=design.evidence,
-        checks=[CheckEntry(**check.model_dump(exclude={"failures"})) for check in checks],
+        checks=[*checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
             required=study.analysis.accuracy.model_dump(),
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],
             stopped=tables.stopped,
             inaccurate=[Shortfall(**answer._asdict()) for answer in tables.inaccurate],
-            runs=cost.runs,
-            reused=cost.reused,
-            seconds=round(cost.seconds, 2),
+            **cost._asdict(),
         ),
         versions=versions(),
     )
@@ -170,7 +166,7 @@ def free_number_of(design: Design) -> FreeNumber | None:
     return FreeNumber(
         path=margins.solve,
         meaning=lookup(margins.solve).meaning.partition(":")[0],
-        planned=planned_value(design),
+        planned=design.planned,
         low=low,
         high=high,
         unit=display_unit(margins.solve)[0],
