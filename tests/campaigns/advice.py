@@ -24,8 +24,7 @@ from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.demands import column_of, strength_of
-from uqsphere.propagation.design import Design
+from uqsphere.propagation.design import Design, column_of, strength_of
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import Line
 from uqsphere.propagation.promise import gains_of

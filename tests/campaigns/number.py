@@ -22,8 +22,7 @@ from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.demands import demands_of, strength_of
-from uqsphere.propagation.design import Design, at_normals
+from uqsphere.propagation.design import Design, at_normals, demands_of, strength_of
 from uqsphere.propagation.doubts import LAWS, Doubt
 from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.free_number import moved

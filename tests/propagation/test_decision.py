@@ -18,8 +18,7 @@ from uqsphere import Study
 from uqsphere.models.model import Model
 from uqsphere.propagation import promise
 from uqsphere.propagation import verdict as verdicts
-from uqsphere.propagation.demands import demands_of
-from uqsphere.propagation.design import Design
+from uqsphere.propagation.design import Design, demands_of
 from uqsphere.propagation.doubts import Curves
 from uqsphere.propagation.failure_modes import least_factor, standing
 from uqsphere.propagation.grow import grow

@@ -18,8 +18,7 @@ from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.crushing import Demand, force_at, value_at
 from uqsphere.models.model import Model
-from uqsphere.propagation.demands import column_of, demands_of, strength_of
-from uqsphere.propagation.design import Design
+from uqsphere.propagation.design import Design, column_of, demands_of, strength_of
 from uqsphere.propagation.tables import evaluate, with_number
 from uqsphere.report.study import described
 from uqsphere.study import Limit, Study, load_study

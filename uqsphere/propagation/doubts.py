@@ -33,8 +33,7 @@ from uqsphere.uq.fitting import (
 )
 from uqsphere.uq.joint import FREE
 
-from .demands import strength_of
-from .design import Design
+from .design import Design, strength_of
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .line import Line, YieldingRows, score
 

@@ -74,7 +74,7 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     folds = None
     line = tables.line
     if margins.limit is not None:
-        line = dict.fromkeys(grid(margins, VALUES), sample)
+        line = dict.fromkeys(grid(margins), sample)
     elif tables.fold_line:
         folds = _along(design, tables.fold_line, limit)
     counts = [rows.count for rows in line.values()]

@@ -11,7 +11,7 @@ from uqsphere.arrays import Values
 from uqsphere.quantities import INPUTS
 from uqsphere.study import NOTABLE, Limit, Margins, Study
 
-from .design import number
+from .design import VALUES, number
 
 
 def values_at(margins: Margins, shares: Values) -> Values:
@@ -36,7 +36,7 @@ def shares_of(margins: Margins, values: Values) -> Values:
     return (values - low) / (high - low)
 
 
-def grid(margins: Margins, count: int) -> list[float]:
+def grid(margins: Margins, count: int = VALUES) -> list[float]:
     """`count` values from one end to the other."""
     return values_at(margins, np.linspace(0.0, 1.0, count)).tolist()  # type: ignore[no-any-return]
 

@@ -15,7 +15,7 @@ from itertools import chain
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, special
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
@@ -26,7 +26,7 @@ from uqsphere.uq.indices import base_points
 
 from . import rare
 from .chaos import by_chaos, expansions, varies
-from .design import VALUES, Design, is_strength, normal_scores
+from .design import VALUES, Design, is_strength
 from .fragility import margin_and_scale
 from .free_number import grid, shares_of, values_at
 from .limits import failure
@@ -179,7 +179,7 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
     if margins is None or margins.limit is not None:
         return {}
     if before is None:
-        return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))
+        return dict.fromkeys(grid(margins), max(count // LINE_SHARE, 2))
     about = set[float]()
     values = [*before.line]
     for name in _inaccurate_margins(before):
@@ -281,7 +281,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
             start=start,
             seed=design.study.seed,
         )
-        physical = design.joint_inputs.physical(normal_scores(np.stack(halves)))
+        physical = design.joint_inputs.physical(special.ndtri(np.stack(halves)))
         mixed.append(design.blocks.mix(*physical))
     return np.stack(mixed)
 

@@ -38,8 +38,7 @@ from uqsphere.uq.limit_state import (
     weighted_quantile,
 )
 
-from .demands import column_of, demands_of, strength_of
-from .design import Design
+from .design import Design, column_of, demands_of, strength_of
 from .tables import Tables, input_rows
 
 #: points of a replicate that the drivers rest on at most, and the step of a score for derivatives

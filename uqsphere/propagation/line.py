@@ -20,7 +20,7 @@ from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
 from uqsphere.uq import LimitState, Sample, tails
 
-from .design import VALUES, Design
+from .design import Design
 from .free_number import demand_factor, grid, moved
 from .limits import state_of
 from .tables import Tables, answered, evaluate, input_rows, with_number
@@ -147,7 +147,7 @@ def line_of(tables: Tables) -> Line | None:
     margins = tables.design.study.margins
     samples = tables.line
     if margins is not None and margins.limit is not None:
-        samples = dict.fromkeys(grid(margins, VALUES), tables.sample.head(_SHARED))
+        samples = dict.fromkeys(grid(margins), tables.sample.head(_SHARED))
     if not samples:
         return None
     return Line(design=tables.design, samples=samples)

@@ -21,7 +21,7 @@ from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
 
 from .decision import Settled
-from .demands import strength_of
+from .design import strength_of
 from .doubts import LAWS, Curves, tests_behind
 from .failure_modes import (
     REFUTED,

@@ -25,8 +25,7 @@ from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
 from .chaos import MOST_LEFT, values_at
-from .demands import strength_of, with_test_forces
-from .design import Design, at_normals, by_force, is_strength, number
+from .design import Design, at_normals, by_force, is_strength, number, strength_of, with_test_forces
 from .limits import failure, sign_of, state_of
 from .tables import Searched, Tables, evaluate
 

@@ -25,7 +25,7 @@ from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
 from .chaos import points_of
-from .design import VALUES, Design, at_normals, normal_scores
+from .design import Design, at_normals
 from .fragility import margin_and_scale
 from .free_number import grid, moved, shares_of, values_at
 from .grow import accuracies, first_rows
@@ -77,7 +77,7 @@ def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow
     """Independent normals (count, D), and `extra` uniforms behind them."""
     size = len(design.drawn.names)
     points = sobol_points(dimension=size + extra, count=count, seed=design.study.seed, task=task)
-    return np.concatenate([normal_scores(points[:, :size]), points[:, size:]], axis=1)
+    return np.concatenate([special.ndtri(points[:, :size]), points[:, size:]], axis=1)
 
 
 def _design(design: Design, count: int) -> Sample:
@@ -305,7 +305,7 @@ def _lines(
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
     line = {}
     fold_line = {}
-    for value in grid(margins, VALUES):
+    for value in grid(margins):
         germ = 2.0 * shares_of(margins, value) - 1.0
         line[value] = _with_predictions(design, table, responses, germ)[1]
         fold_line[value] = _with_predictions(design, shared, responses, germ)[0]

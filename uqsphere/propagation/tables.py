@@ -26,8 +26,7 @@ from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.rows import too_small
 
 from .chaos import CONTROL, METHOD, Expansion, Indices, by_chaos, values_at
-from .demands import with_test_forces
-from .design import Design
+from .design import Design, with_test_forces
 from .slow import Slow, described_rows
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,

@@ -36,8 +36,7 @@ from uqsphere.uq.estimate import SURE, spread
 
 from .checks import Check, caveats_of
 from .decision import Settled, settled_accurately
-from .demands import number_of_tests, strength_of
-from .design import Design
+from .design import Design, number_of_tests, strength_of
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import means_fracture
 from .limits import failure
@@ -303,9 +302,7 @@ def _own(judged: Judged) -> types.Doubt:
     plan = Settled(aim=alone, line=judged.plan.line)
     line = Settled(aim=alone, line=judged.settled.line)
     judged = replace(judged, plan=plan, line=line, all_modes=judged.probability)
-    setting = judged.settled.setting
-    at_plan = next((doubt.curve[0] for doubt in plan.doubts if doubt.key == setting.key), None)
-    return _row(judged, setting, at_plan)
+    return _row(judged, judged.settled.setting)
 
 
 def _library(judged: Judged) -> LibraryRange | None:
@@ -331,18 +328,16 @@ def _library(judged: Judged) -> LibraryRange | None:
 
 def _certificate(judged: Judged) -> list[types.Doubt]:
     """What the number rests on: a row for each limit and doubt."""
-    at_plan = {doubt.key: doubt.curve[0] for doubt in judged.plan.doubts}
-    rows = [_row(judged, doubt, at_plan.get(doubt.key)) for doubt in judged.settled.doubts]
+    rows = [_row(judged, doubt) for doubt in judged.settled.doubts]
     if judged.aim.survive:
         for mode in judged.aim.design.modes:
-            assumed = judged.settled.assumed(mode)
-            row = _row(judged, assumed, judged.probability[mode.limit.name].value)
+            row = _row(judged, judged.settled.assumed(mode))
             rows.append(row.model_copy(update={"counts": mode in judged.aim.modes}))
     return rows
 
 
-def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
-    """A row, from the probability of exceedance at the plan."""
+def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
+    """A row of the certificate."""
     settled = judged.settled
     aim = judged.aim
     limit = doubt.limit
@@ -354,10 +349,13 @@ def _row(judged: Judged, doubt: Doubt, exceeded: float | None) -> types.Doubt:
     at_number = at_plan = None
     if settled.use is not None:
         at_number = limit.missed(settled.line.at(doubt.curve, settled.use))
-    if exceeded is not None:
-        at_plan = limit.missed(exceeded)
+    for planned in judged.plan.doubts:
+        if planned.key == doubt.key:
+            at_plan = limit.missed(planned.curve[0])
     code = doubt.code
     option = doubt.detail
+    if code == "assumed strength":
+        at_plan = judged.probability[limit.name].value
     if code == "computation":
         at_plan = judged.all_modes[limit.name].high or at_plan
         # tests that are carried over in another way than by the limit that counts as fracture

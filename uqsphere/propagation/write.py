@@ -40,8 +40,7 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law
 
 from .checks import Check
-from .demands import demands_of, number_of_tests, strength_of
-from .design import Design
+from .design import Design, demands_of, number_of_tests, strength_of
 from .failure_modes import breaks_by, means_fracture
 from .limits import state_of
 from .quantities import density

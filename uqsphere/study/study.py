@@ -44,7 +44,7 @@ class Limit:
     own (`has_target` is false, and there is no verdict) takes over what `default_target` says.
     `fracture`: whether exceeding it breaks the sphere; None leaves that to the quantity.
     `tested`: the crushing tests behind the strength, if it has such;
-    `uqsphere.propagation.demands` makes their forces comparable with those of a row.
+    `uqsphere.propagation.design` makes their forces comparable with those of a row.
     """
 
     name: str
