@@ -261,12 +261,9 @@ def standing(below: Array) -> Array:
     >>> standing(np.array([[0.1, 0.3, 0.5, 0.7, 0.9], [0.9, 0.95, 0.97, 0.98, 0.99]])).round(3)
     array([0.854, 0.   ])
     """
-    from scipy.stats import ksone
+    from scipy.stats import ks_1samp, uniform
 
-    ordered = np.sort(below, axis=1)
-    n = ordered.shape[1]
-    distance = (ordered - np.arange(n) / n).max(axis=1)
-    return np.asarray(ksone.sf(np.maximum(distance, 1e-9), n))
+    return np.asarray(ks_1samp(below, uniform.cdf, alternative="less", axis=1).pvalue)
 
 
 def least_factor(law: Law, demands: Array) -> Array:

@@ -180,14 +180,11 @@ def _problem(
         rows: Array = np.where(state.broken, np.nan, margin)[0]
         return rows
 
-    def sample(normals: Array) -> Sample:
-        return answered(at_normals(design.drawn, normals[None]))
-
-    def margin(normals: Array) -> Array:
-        return left(state_of(design, limit, sample(normals)))
-
-    def outputs(normals: Array) -> Array:
-        return sample(normals).outputs(limit.quantity)
+    def answers(normals: Array) -> Array:
+        sample = answered(at_normals(design.drawn, normals[None]))
+        if whole:
+            return left(state_of(design, limit, sample))
+        return sample.outputs(limit.quantity)
 
     def of_outputs(y: Array) -> Array:
         return left(LimitState(demands=number(limit.model_factor) * y[None], strength=strength))
@@ -195,7 +192,7 @@ def _problem(
     strength = strength_of(limit)
     whole = design.study.dependence or by_force(limit) or isinstance(limit.model_factor, Law)
     return Evaluator(
-        margin if whole else outputs,
+        answers,
         len(design.drawn.names),
         integrated=isinstance(strength, Law),
         limit=None if whole else of_outputs,

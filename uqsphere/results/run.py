@@ -101,9 +101,8 @@ class Run:
         """Quantiles of a quantity with their 95 % intervals, by probability; mean and sd are in
         `answers`.
         """
-        rows = self._rows(quantity, "quantile")
-        places = rows["at"].astype(float).rename("probability")
-        return rows.set_index(places)[["value", "low", "high", "note"]]
+        rows = self._rows(quantity, "quantile").astype({"at": float}).set_index("at")
+        return rows.rename_axis("probability")[["value", "low", "high", "note"]]
 
     def probability(self, limit: str) -> pd.Series:
         """The failure probability of a limit or failure mode: value, low, high, low_unseen,
@@ -113,9 +112,8 @@ class Run:
 
     def curve(self, limit: str) -> pd.DataFrame:
         """The probability of exceedance (fracture) over the free number, with its 95 % interval."""
-        rows = self._rows(self._subject(limit), "curve")
-        places = rows["at"].astype(float).rename("free")
-        return rows.set_index(places)[["value", "low", "high"]]
+        rows = self._rows(self._subject(limit), "curve").astype({"at": float}).set_index("at")
+        return rows.rename_axis("free")[["value", "low", "high"]]
 
     def margin(self, limit: str, probability: float) -> pd.Series:
         """The free number at which a limit is exceeded with a probability: value, low, high,
