@@ -328,12 +328,10 @@ def _library(judged: Judged) -> LibraryRange | None:
 
 def _certificate(judged: Judged) -> list[types.Doubt]:
     """What the number rests on: a row for each limit and doubt."""
-    rows = [_row(judged, doubt) for doubt in judged.settled.doubts]
+    doubts = [*judged.settled.doubts]
     if judged.aim.survive:
-        for mode in judged.aim.design.modes:
-            row = _row(judged, judged.settled.assumed(mode))
-            rows.append(row.model_copy(update={"counts": mode in judged.aim.modes}))
-    return rows
+        doubts += map(judged.settled.assumed, judged.aim.design.modes)
+    return [_row(judged, doubt) for doubt in doubts]
 
 
 def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
@@ -372,6 +370,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         at_number=Range(value=at_number),
         at_plan=Range(value=at_plan),
         governs=doubt.key == settled.governing.key,
+        counts=code != "assumed strength" or limit in [mode.limit for mode in aim.modes],
         joint=code != "assumed strength" and settled.adds_up(limit),
         tests=number_of_tests(strength_of(limit)),
     )
