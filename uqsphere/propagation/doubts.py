@@ -21,7 +21,7 @@ from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, probability_ends, spread
+from uqsphere.uq.estimate import ENDS, probability_ends, spread, spreads
 from uqsphere.uq.fitting import (
     STRENGTHS,
     count_tests,
@@ -315,8 +315,6 @@ class Curves:
 
     def _ends(self, means: Array) -> Array:
         """The unsafe ends (K,) of the numerical intervals of probabilities (K, R)."""
-        if means.shape[1] < 2:
-            return means[:, 0]
         ends = [
             probability_ends(row.mean(), (1.0 - row).mean(), spread(row), row.size, sample.size)
             for row, sample in zip(means, self.line.samples.values(), strict=True)
@@ -407,6 +405,6 @@ class Curves:
             **vars(alternative),
             single=curves[0],
             curve=curves[1],
-            error=np.array([spread(row) if row.size > 1 else 0.0 for row in rows]),
+            error=spreads(rows.T),
             margin=self.margin(alternative.limit, curves[1]),
         )

@@ -121,7 +121,7 @@ def grow(
         if stopped:
             # a last search with what is left of the budget
             tables = rare.search(model, replace(tables, stopped=stopped), rows_left)
-            tables = replace(tables, errors=accuracies(tables))
+            tables = replace(tables, errors=[*accuracies(tables)])
             if not tables.inaccurate and tables.stopped in ("budget", "cap", "no gain"):
                 tables = replace(tables, stopped="accurate")
             return tables
@@ -220,7 +220,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
         count = tables.sample.count // PAIRS_SHARE
         pairs = paired(design, model, count, inaccurate, tables.pairs, rows_left())
         tables = replace(tables, pairs=pairs)
-    return replace(tables, errors=accuracies(tables))
+    return replace(tables, errors=[*accuracies(tables)])
 
 
 def _by_chaos_accurate(tables: Tables, name: str) -> bool:
@@ -286,12 +286,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     return np.stack(mixed)
 
 
-def accuracies(tables: Tables) -> tuple[Accuracy, ...]:
-    """The accuracy of every answer that the study has a requirement for."""
-    return tuple(error for error in _accuracies(tables) if math.isfinite(error.required))
-
-
-def _accuracies(tables: Tables) -> Iterator[Accuracy]:
+def accuracies(tables: Tables) -> Iterator[Accuracy]:
     """The accuracy of every answer that has one."""
     design = tables.design
     required = design.study.analysis.accuracy

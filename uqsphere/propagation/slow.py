@@ -46,8 +46,8 @@ class Slow:
     rows: Sample
     responses: Mapping[str, Response]
     sample: Sample
-    predicted: Sample | None = None
-    dropped: float = 0.0
+    predicted: Sample | None
+    dropped: float
 
     def corrected(self, name: str) -> Corrected | None:
         """The predictions of a quantity, corrected by its rows; None where it has none."""

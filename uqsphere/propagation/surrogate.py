@@ -60,7 +60,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
     try:
         names, rows = input_rows(_design(design, PROBE))
         model.evaluate(names, rows[:1], design.columns)
-        seconds_per_row = model.seconds_per_row or 0.0
+        seconds_per_row = model.seconds_per_row
         if seconds_per_row * LEAST_ROWS > max(seconds, ALWAYS):
             raise UsageError(
                 f"a model run takes {seconds_per_row:.3g} s, and at least {LEAST_ROWS} runs are "
@@ -70,7 +70,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
         model.evaluate(names, rows[1:], design.columns)
     except Interrupted:
         raise KeyboardInterrupt from None
-    return (model.seconds_per_row or 0.0) * first > seconds
+    return model.seconds_per_row * first > seconds
 
 
 def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow") -> Array:
@@ -181,7 +181,7 @@ def tables_of(
     if tables.line:
         margins = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
         tables = replace(tables, predicted_from=most, margins=margins)
-    tables = replace(tables, errors=accuracies(tables))
+    tables = replace(tables, errors=[*accuracies(tables)])
     if not stopped:
         stopped = "budget" if tables.inaccurate else "accurate"
     runs = model.evaluations + model.reused
@@ -235,12 +235,20 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     if plain and not apart and rows.count >= LEAST_ROWS:
         fits = cross_fit(points_of(design, rows.scores[0]), rows.answers[0], design.germs)
         responses = dict(zip(rows.quantities, fits, strict=True))
-    slow = Slow(design=design, rows=rows, responses=responses, sample=rows, dropped=dropped)
+    predicted = None
     if responses and all(response.usable for response in responses.values()):
         predicted, sample = _with_predictions(design, design.points(POINTS), responses)
-        return replace(slow, predicted=predicted, sample=sample)
-    count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
-    return replace(slow, sample=rows.head(rows.count // count * count).in_blocks(count))
+    else:
+        count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
+        sample = rows.head(rows.count // count * count).in_blocks(count)
+    return Slow(
+        design=design,
+        rows=rows,
+        responses=responses,
+        sample=sample,
+        predicted=predicted,
+        dropped=dropped,
+    )
 
 
 def lie_apart(some: Array, others: Array) -> bool:

@@ -79,7 +79,6 @@ class Kind(StrEnum):
         "both inputs, with a comma",
         "1",
     )
-    SHAPLEY = "shapley", "quantity", "Shapley effect (dependent inputs)", "input", "1"
     EXCEEDANCE_PROBABILITY = (
         "exceedance_probability",
         "limit",
