@@ -171,11 +171,7 @@ class Design:
         """`count` points of every replicate, from the `start`-th of its sequence on; `joint`
         replaces the variables.
         """
-        drawn = self.drawn if joint is None else joint
-        if not drawn.names:
-            nothing = np.zeros((REPLICATES, count, 0))
-            return Sample.at((), nothing, nothing)
-        return at_normals(drawn, self.normals(count, start))
+        return at_normals(joint or self.drawn, self.normals(count, start))
 
     def many_normals(self, count: int) -> Array:
         """The same for as many points as an expansion is evaluated at; those of one count are

@@ -109,13 +109,11 @@ class _Promise:
         names = [*STRENGTHS]
         if limit.needs_modulus:
             names = [law.family.name]
-        counted = [mode.called for mode in settled.aim.modes]
+        counted = [mode.called for mode in settled.aim.modes if settled.adds_up(limit)]
         library = failure_modes_of(settled.aim.design.study)[0]
         self.modes = [mode for mode in library if mode.called in counted]
-        self.allowed, self.added = np.array([limit.allowable]), None
-        if settled.adds_up(limit):
-            self.allowed = limit.allowable * np.array(_SHARES)
-            self.added = _added(settled, limit, self.modes)
+        self.allowed = limit.allowable * np.array(_SHARES)
+        self.added = _added(settled, limit, self.modes)
         self.tables = {name: self._tabulated(name) for name in names}
 
     def places(self, uniforms: Array) -> Iterator[Array]:
@@ -123,10 +121,9 @@ class _Promise:
         settled = self.settled
         line = self.settled.line
         logs, leaving = self._series(uniforms)
-        added = None
-        if self.added is not None:
-            stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
-            added = partial(self.added, stronger)
+        stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
+        added = partial(self.added, stronger)
+        if settled.adds_up(self.limit):
             along = np.broadcast_to(line.places, (_SERIES, line.places.size))
             target = np.array([self.limit.allowable])
             yield _places(settled, score(added(along)), target)[:, 0]
@@ -136,15 +133,15 @@ class _Promise:
             centre, inverse = _pivots(kind, tuple(leaving.tolist()), self.limit.allowable)
             strengths = location - scale * centre, scale * inverse
             at = np.quantile([table(*strengths) for table in tables], ENDS[settled.least], axis=2).T
-            if added is not None:  # where the limit's share and the other modes make the target
-                together = score(self.allowed + added(at))
-                target = score(self.limit.allowable)
-                pairs = zip(together, at, strict=True)
-                at = np.array([[np.interp(target, scores, row)] for scores, row in pairs])
+            # where the limit's share and the other modes make the target
+            together = score(self.allowed + added(at))
+            target = score(self.limit.allowable)
+            pairs = zip(together, at, strict=True)
+            places = np.array([np.interp(target, scores, row) for scores, row in pairs])
             if name != self.law.family.name:
-                refuted = _refuted(kind, logs, leaving)[:, None]
-                at = np.where(refuted, line.place_of(settled.ends[1]), at)
-            yield at[:, 0]
+                refuted = _refuted(kind, logs, leaving)
+                places = np.where(refuted, line.place_of(settled.ends[1]), places)
+            yield places
 
     def _series(self, uniforms: Array) -> tuple[Array, Array]:
         """Logarithms (J, r) of the strengths that failed, and the tests that end with each failure
