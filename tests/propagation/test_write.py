@@ -33,7 +33,7 @@ def model(x):
 
 def results(of):
     tables = tables_of(of, model)
-    cost = Cost(runs=7, reused=3, seconds=1.234)
+    cost = Cost(runs=7, reused=3, seconds=1.23)
     return results_of(tables, [], [], [], cost)
 
 

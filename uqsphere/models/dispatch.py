@@ -55,7 +55,7 @@ def answer_rows(
         size = 1
     due = deque(np.split(np.arange(total), range(size, total, size)))
     running = dict[Future[Timed], Places]()
-    before = model.evaluations + model.reused
+    before = model.runs
     heard = time.monotonic()
     try:
         while True:
@@ -76,7 +76,7 @@ def answer_rows(
                 if len(places):
                     running[model.workers.submit(rows[places])] = places
             if model.progress is not None:
-                model.progress(model.evaluations + model.reused - before, total)
+                model.progress(model.runs - before, total)
             if not running:
                 return answers, failures, together
             ended, _ = wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED)
@@ -111,7 +111,7 @@ def answer_rows(
                     model.evaluations += 1
                     failures[row] = failure
                     deaths = sum(isinstance(reason, Died) for reason in failures.values())
-                    if deaths >= _DEATHS and 2 * deaths > model.evaluations + model.reused:
+                    if deaths >= _DEATHS and 2 * deaths > model.runs:
                         raise ModelError(
                             f"{where}, in {deaths} rows, more than it answered"
                         ) from failure

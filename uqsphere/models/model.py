@@ -127,6 +127,11 @@ class Model:
             self.workers.close()
 
     @property
+    def runs(self) -> int:
+        """Rows that were evaluated, or came from the cache."""
+        return self.evaluations + self.reused
+
+    @property
     def seconds_per_row(self) -> float:
         """Mean seconds that a row took, without the first call where there are more; 0 before the
         first.

@@ -127,7 +127,7 @@ def run(
             # how many stages follow is not known: each is shown as a tenth of what is left
             share = share_of_stages + 0.1 * (1.0 - share_of_stages) * done / max(total, 1)
             text = f"{done:,} of {total:,} model runs of this stage"
-            show(evaluator.evaluations + evaluator.reused, share, text)
+            show(evaluator.runs, share, text)
 
         def show(runs: int, share: float, text: str) -> None:
             nonlocal most_shown
@@ -166,7 +166,7 @@ def run(
         checked = [*checks(tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
         cost = Cost(
-            runs=evaluator.evaluations + evaluator.reused,
+            runs=evaluator.runs,
             reused=evaluator.reused,
             seconds=round(time.monotonic() - started, 2),
         )

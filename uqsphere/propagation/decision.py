@@ -147,7 +147,7 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
         if not there:
             wanted = (*wanted, number)
         rows = len(wanted) * count * replicates
-        if model.evaluations + model.reused + rows > analysis.budget.evaluations:
+        if model.runs + rows > analysis.budget.evaluations:
             break
         if time.monotonic() + rows * model.seconds_per_row >= end:
             break

@@ -64,7 +64,7 @@ def grow(
         """Model runs that are left, by the budget and, at the pace so far, by the time."""
         now = time.monotonic()
         in_time = (end - now) * max(model.evaluations, 1) / max(now - began, 1e-9)
-        return min(budget - model.evaluations - model.reused, in_time)
+        return min(budget - model.runs, in_time)
 
     # errors of every size by their answer, of none before the first
     history: list[dict[tuple[str, str], float]] = [{}, {}]
@@ -92,7 +92,7 @@ def grow(
             return tables
         took = time.monotonic() - started
         history.append({error[:2]: error.reached for error in tables.errors})
-        runs = model.evaluations + model.reused
+        runs = model.runs
         worst = tables.worst
         tables = replace(tables, reached=(*tables.reached, (runs, worst)))
         if progress is not None:

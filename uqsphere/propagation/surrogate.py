@@ -184,8 +184,7 @@ def tables_of(
     tables = replace(tables, errors=[*accuracies(tables)])
     if not stopped:
         stopped = "budget" if tables.inaccurate else "accurate"
-    runs = model.evaluations + model.reused
-    return replace(tables, stopped=stopped, reached=((runs, tables.worst),))
+    return replace(tables, stopped=stopped, reached=((model.runs, tables.worst),))
 
 
 def _evaluated(
@@ -205,8 +204,7 @@ def _evaluated(
             break
         parts.append(part)
         done += part.count
-        runs = model.evaluations + model.reused
-        progress(runs, done / count, f"{done} of {count} runs of the design")
+        progress(model.runs, done / count, f"{done} of {count} runs of the design")
         if done >= LEAST_ROWS and time.monotonic() > end:
             stopped = "time"
     if done < LEAST_ROWS:
