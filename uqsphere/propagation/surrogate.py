@@ -30,8 +30,7 @@ from .fragility import margin_and_scale
 from .free_number import grid, moved, shares_of, values_at
 from .grow import accuracies, first_rows
 from .progress import Progress
-from .slow import Slow
-from .tables import Tables, check_failures, check_sizes, evaluate, input_rows, with_number
+from .tables import Slow, Tables, check_failures, check_sizes, evaluate, input_rows, with_number
 
 #: rows that measure what the model costs, and rows of a design at most and at least
 PROBE, MOST_ROWS, LEAST_ROWS = 8, 1024, 16
