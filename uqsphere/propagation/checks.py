@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability
@@ -37,7 +36,7 @@ GRADES: tuple[Grade, ...] = ("ok", "note", "warning", "failure")
 class Check(CheckEntry):
     """One check, with the share of each limit's failures that breach it."""
 
-    failures: Mapping[str, float] = Field(default={}, exclude=True)
+    failures: Mapping[str, float] = {}
 
 
 def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:

@@ -22,6 +22,7 @@ from uqsphere.results.folder import write_files
 from uqsphere.results.types import (
     AccuracyEntry,
     Answer,
+    CheckEntry,
     CorrelationEntry,
     Decision,
     DependenceEntry,
@@ -119,7 +120,7 @@ def results_of(
         answers=answers,
         decisions=decisions,
         evidence=design.evidence,
-        checks=[*checks],
+        checks=[CheckEntry(**check.model_dump(exclude={"failures"})) for check in checks],
         paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
             required=study.analysis.accuracy.model_dump(),
