@@ -3,7 +3,7 @@ one way in which points become rows.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from typing import NamedTuple
 
@@ -61,6 +61,20 @@ def described_rows(design: Design, sample: Sample, name: str, method: str) -> De
         quantiles=design.study.analysis.quantiles,
         method=method,
     )
+
+
+def by_input(design: Design, orders: Iterable[Sequence[Estimate]], text: str) -> Indices:
+    """Indices by input from those of every order, with a text behind their methods."""
+    return {
+        name: tuple(replace(index, method=index.method + text) for index in row)
+        for name, row in zip(design.inputs, zip(*orders, strict=True), strict=True)
+    }
+
+
+def no_indices(design: Design, reason: str, method: str, runs: int) -> Indices:
+    """Indices of all inputs that cannot be given, and why."""
+    nothing = absent(reason, method, runs)
+    return dict.fromkeys(design.inputs, (nothing, nothing))
 
 
 @frozen(eq=False)
@@ -149,20 +163,15 @@ class Slow:
     def indices(self, name: str) -> Indices:
         """First and total indices of a quantity for independent inputs."""
         runs = self.rows.size
-        inputs = self.design.inputs
         if name in self.responses:
             orders = indices_of(self.responses[name]).values()
-            return {
-                label: tuple(replace(index, method=index.method + self._kept) for index in row)
-                for label, row in zip(inputs, zip(*orders, strict=True), strict=True)
-            }
+            return by_input(self.design, orders, self._kept)
         reason = f"some of the {runs} model runs have no plain value"
         if self.dropped:
             reason = "the runs that failed lie apart from the others: see on_failure"
         elif self.rows.failed.any():
             reason += '; analysis.on_failure = "drop" gives the indices of those that do'
-        nothing = absent(reason, ROUGH, runs)
-        return dict.fromkeys(inputs, (nothing, nothing))
+        return no_indices(self.design, reason, ROUGH, runs)
 
 
 @frozen(eq=False)
@@ -239,8 +248,7 @@ class Tables:
         if self.design.joint_inputs.dependent:
             # variance has no parts of its own for each of inputs that are tied
             reason = "inputs depend on each other: their Sobol' indices have no meaning"
-            nothing = absent(reason, METHOD, self.runs)
-            return dict.fromkeys(self.design.inputs, (nothing, nothing))
+            return no_indices(self.design, reason, METHOD, self.runs)
         return self.source.indices(name)
 
     # --- what a sample of a cheap model answers ---------------------------------------------------
@@ -311,8 +319,7 @@ class Tables:
         if not reason and name in self.expansions:
             return by_chaos(self.design, self.expansions[name])
         reason = reason or "the quantity does not vary, or has no plain value at every point"
-        nothing = absent(reason, METHOD, self.sample.size)
-        return dict.fromkeys(self.design.inputs, (nothing, nothing))
+        return no_indices(self.design, reason, METHOD, self.sample.size)
 
     def _by_pairs(self, values: Array) -> Indices:
         """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
@@ -320,21 +327,15 @@ class Tables:
         names = self.design.inputs
         least = whole.sum(axis=1).min()
         if least < 2:
-            nothing = absent("too few pairs without a failure", "pairs of runs", values.size)
-            return dict.fromkeys(names, (nothing, nothing))
+            reason = "too few pairs without a failure"
+            return no_indices(self.design, reason, "pairs of runs", values.size)
         kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
         sampled = sampled_indices(np.stack(kept), self.design.blocks)
         text = ""
         if not whole.all():
             text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
-        first, total = (
-            [replace(index, method=index.method + text) for index in order]
-            for order in (sampled.first, sampled.total)
-        )
-        indices = dict[str, tuple[Estimate, ...]](
-            zip(names, zip(first, total, strict=True), strict=True)
-        )
-        return indices | {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}
+        second = {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}
+        return {**by_input(self.design, (sampled.first, sampled.total), text), **second}
 
 
 def with_number(points: Sample, name: str, values: Values) -> Sample:
