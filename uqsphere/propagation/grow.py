@@ -179,7 +179,7 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
     if margins is None or margins.limit is not None:
         return {}
     if before is None:
-        return dict.fromkeys(grid(margins), max(count // LINE_SHARE, 2))
+        return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))
     about = set[float]()
     values = [*before.line]
     for name in _inaccurate_margins(before):
