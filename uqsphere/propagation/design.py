@@ -82,7 +82,7 @@ class Design:
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """The quantities that are evaluated at every point."""
-        return _quantities(self.study, self.judged.limits)
+        return _quantities(self.judged)
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -126,7 +126,7 @@ class Design:
         """The quantities whose distributions and indices are answered: those asked for, and those
         of limits.
         """
-        return _quantities(self.study, self.limits)
+        return _quantities(self.study)
 
     @cached_property
     def explained(self) -> tuple[str, ...]:
@@ -206,9 +206,9 @@ def with_modes(study: Study, modes: Iterable[AssumedMode]) -> Study:
     return replace(study, limits=(*study.limits, *(mode.limit for mode in modes)))
 
 
-def _quantities(study: Study, limits: Iterable[Limit]) -> tuple[str, ...]:
-    """The quantities that a study asks for, and those of limits."""
-    names = [*study.analysis.quantities, *(limit.quantity for limit in limits)]
+def _quantities(study: Study) -> tuple[str, ...]:
+    """The quantities that a study asks for, and those of its limits."""
+    names = [*study.analysis.quantities, *(limit.quantity for limit in study.limits)]
     return tuple(dict.fromkeys(names))
 
 
