@@ -35,7 +35,7 @@ from uqsphere.uq.joint import FREE
 
 from .design import Design, strength_of
 from .failure_modes import REFUTED, AssumedMode, means_fracture
-from .line import Line, YieldingRows, score
+from .line import Line, YieldingRows, exceedance, score
 
 #: strengths that tests allow
 LAWS = 400
@@ -224,7 +224,7 @@ class Curves:
         for group in (*self.aim.groups, *([mode.limit] for mode in self.aim.modes)):
             counted = [*filter(means_fracture, group)]
             if counted and self.aim.survive:
-                exceeded = self.line.exceedance(self.line.state(counted[0]), self.aim.word)
+                exceeded = exceedance(self.line.state(counted[0]), self.aim.word)
                 stands.append((group, 1.0 - exceeded))
         held = dict[str, Array]()
         for group, stand in stands:
@@ -300,7 +300,7 @@ class Curves:
         hold = self.held.get(limit.name)
         means = []
         for strength in laws or [state.strength]:
-            rows = self.line.exceedance(replace(state, strength=strength), self.aim.word)
+            rows = exceedance(replace(state, strength=strength), self.aim.word)
             alone = joint = self.line.means(rows)
             if hold is not None:
                 joint = self.line.means(1.0 - hold + rows * hold)

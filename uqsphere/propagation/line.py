@@ -98,17 +98,6 @@ class Line:
         factors = [demand_factor(margins, limit, value) for value in self.values]
         return replace(state, demands=state.demands * np.repeat(factors, self._counts))
 
-    def exceedance(self, state: LimitState, aim: str) -> Array:
-        """Probability (R, N) of exceedance given the inputs; a row that is not known to the end
-        counts for the unsafe side, and one that failed is nan, or counts so as well.
-        """
-        unsafe = aim == "survive"
-        lost = math.nan
-        if state.on_failure == "bound":
-            lost = float(unsafe)
-        below = np.where(state.late & unsafe, 1.0, tails(state)[0])
-        return np.where(state.broken, lost, below)
-
     def means(self, rows: Array) -> Array:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
         starts = np.cumsum([0, *self._counts[:-1]])
@@ -130,6 +119,18 @@ class Line:
         from scipy.interpolate import PchipInterpolator
 
         return PchipInterpolator(self.places, scores)
+
+
+def exceedance(state: LimitState, aim: str) -> Array:
+    """Probability (R, N) of exceedance given the inputs; a row that is not known to the end counts
+    for the unsafe side, and one that failed is nan, or counts so as well.
+    """
+    unsafe = aim == "survive"
+    lost = math.nan
+    if state.on_failure == "bound":
+        lost = float(unsafe)
+    below = np.where(state.late & unsafe, 1.0, tails(state)[0])
+    return np.where(state.broken, lost, below)
 
 
 def score(probability: Array | float) -> Array:

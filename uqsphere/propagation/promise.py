@@ -32,7 +32,7 @@ from .failure_modes import (
     median,
     scaled_strength,
 )
-from .line import score
+from .line import exceedance, score
 
 #: numbers of tests that are told
 SIZES = (10, 25, 50, 100, 200)
@@ -219,7 +219,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
 
     line = settled.line.few
     word = settled.aim.word
-    stands = 1.0 - line.exceedance(line.state(limit), word)
+    stands = 1.0 - exceedance(line.state(limit), word)
     of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
     others = of_study.held.get(limit.name, np.ones(1))
     held = line.means(others * stands + 1.0 - stands).mean(axis=1)
@@ -230,7 +230,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
         rows = []
         for node in nodes:
             stronger = replace(state, strength=scaled_strength(mode.middle, math.exp(node)))
-            rows.append(line.means(line.exceedance(stronger, word) * stands).mean(axis=1))
+            rows.append(line.means(exceedance(stronger, word) * stands).mean(axis=1))
         scores = score(np.array(rows))
         tables.append((RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1), nodes[-1]))
 
