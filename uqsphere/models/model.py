@@ -5,7 +5,7 @@ reported.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -231,12 +231,11 @@ class Model:
             self.add_call(time.perf_counter() - began, len(block))
             if self.progress is not None:
                 self.progress(start + len(block), len(rows))
-        return EvaluatedRows(
-            values=np.concatenate([part.values for part in parts]),
-            censored=np.concatenate([part.censored for part in parts]),
-            status=np.concatenate([part.status for part in parts]),
-            note=next((part.note for part in parts if part.note), ""),
-        )
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("values", "censored", "status")
+        }
+        return EvaluatedRows(**joined, note=next((part.note for part in parts if part.note), ""))
 
     def _evaluate_box(
         self, names: Names, rows: Array, columns: Names, cache: Cache | None
@@ -299,7 +298,7 @@ class Model:
                 self._processes = 0  # the function cannot be sent, and goes on where it is
 
 
-@lru_cache(maxsize=1)
+@cache
 def announce_compilation() -> None:
     """Say on stderr that the integrator is compiled, where its compiled code is not kept yet; once
     in a process.

@@ -150,9 +150,7 @@ def evaluate_scene(
         values=np.where(good[:, None], values, np.nan),
         censored=np.stack([answers.censored.get(name, none) for name in columns], axis=1),
         status=np.where(good, 0, answers.status),
-        note="".join(
-            f"{STATUS[int(answers.status[k])]} {where_of(names, rows[k])}" for k in failed
-        ),
+        note="".join(f"{STATUS[answers.status[k]]} {where_of(names, rows[k])}" for k in failed),
     )
 
 
@@ -173,7 +171,7 @@ def check_scene(study: Study) -> None:
     margins = study.margins
     if margins is not None and margins.solve in INPUTS:
         for value in margins.between:
-            code = int(scene_of(study, {margins.solve: value}).status[0])
+            code = scene_of(study, {margins.solve: value}).status[0]
             if code:
                 raise UsageError(
                     f"margins.between: {format_value(value, margins.solve)} for {margins.solve}: "
@@ -214,7 +212,7 @@ def onset_of(study: Study) -> float | None:
     if study.black_box:
         return None
     scene = scene_of(study, {})
-    onsets = [float(law_of(scene.columns, partner.body).onset[0]) for partner in scene.there]
+    onsets = [law_of(scene.columns, partner.body).onset[0] for partner in scene.there]
     return min(filter(math.isfinite, onsets), default=None)
 
 

@@ -12,7 +12,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import Any
 from weakref import WeakSet
 
 from threadpoolctl import threadpool_limits
@@ -31,9 +31,9 @@ from .black_box import ModelFile, call_black_box, describe_error
 from .rows import Died, NoAnswer
 
 #: a black box, its inputs and its outputs
-Task: TypeAlias = tuple[Any, Names, Names]
+Task = tuple[Any, Names, Names]
 #: answers (n, outputs), and the seconds that they took
-Timed: TypeAlias = tuple[Array, float]
+Timed = tuple[Array, float]
 #: calls that an executor of the user is given at once, about
 _MANY = 512
 #: what a process runs: modules are found where this process finds them, not in its working folder

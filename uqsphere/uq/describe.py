@@ -305,7 +305,7 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
     below = np.cumsum(steps[order])
     # a distribution function never falls
     below = np.mean(rising(below), axis=0)
-    return lambda p: float(places[order[np.searchsorted(below[:-1], p)]])
+    return lambda p: places[order[np.searchsorted(below[:-1], p)]]
 
 
 def rising(levels: Array) -> tuple[Array, Array]:

@@ -641,7 +641,7 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     >>> law.ppf(np.array([0.5])).round(6).tolist(), count_tests(law)
     ([2.0], 12)
     """
-    return Law(family=DRAWN, parameters={"tests": float(tests)}, draws=tuple(map(tuple, draws)))
+    return Law(family=DRAWN, parameters={"tests": tests}, draws=tuple(map(tuple, draws)))
 
 
 def modulus_of(law: object) -> float | None:

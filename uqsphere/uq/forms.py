@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, frozen, quiet, special
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -159,8 +159,8 @@ GAUSS = replace(
     moments=(0.0, 1.0),
 )
 #: of the logarithm of an exponential variable, and the largest extreme value
-SMALLEST = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), lambda h: np.log(h), lambda y: y)
-GUMBEL = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), lambda y: -y))
+SMALLEST = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), np.log, np.asarray)
+GUMBEL = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), np.negative))
 UNIFORM = Form(
     tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)),
     quantile=lambda p, q: p,
@@ -330,11 +330,10 @@ def empirical(law: Law) -> Form:
     """A kernel density of the observations with the parameter `bandwidth`; a step function where
     that is 0.
     """
-    data = np.array(law.data)
     width = law.parameters["bandwidth"]
     if width > 0.0:
-        return _kernels(data, width)
-    inside = data[(data >= law.lower) & (data <= law.upper)]
+        return _kernels(np.array(law.data), width)
+    inside = law.inside
 
     def tails(x: Array) -> Tails:
         share = np.searchsorted(inside, x, side="right") / inside.size
@@ -348,7 +347,7 @@ def empirical(law: Law) -> Form:
         return np.asarray(inside[np.clip(rank, 0, inside.size - 1)])
 
     moments = (float(inside.mean()), float(inside.std())) if inside.size else (math.nan, math.nan)
-    return Form(tails=tails, quantile=quantile, moments=moments, mass=inside.size / data.size)
+    return Form(tails=tails, quantile=quantile, moments=moments, mass=inside.size / len(law.data))
 
 
 def bandwidth(data: Array) -> float:
@@ -373,7 +372,7 @@ def _mean_of(
     over the nodes.
     """
 
-    @np.errstate(all="ignore")
+    @quiet
     def own_tails(y: Array) -> Tails:
         each = [form.tails(z(y[..., None])) for form, z in parts]
         below, above = np.concatenate(each, axis=-1).sum(axis=-1) / count
@@ -424,7 +423,7 @@ def _kernels(data: Array, width: float) -> Form:
         ]
         return np.concatenate(pieces)
 
-    moments = float(data.mean()), math.hypot(float(data.std()), width)
+    moments = float(data.mean()), math.hypot(data.std(), width)
     return _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes, moments)
 
 
@@ -440,7 +439,7 @@ def drawn(law: Law) -> Form:
         left = np.maximum(1.0 - bound * (np.exp(y) / median), 0.0)
         return np.asarray((y - np.log(median) - np.log(left)) / sd)
 
-    @np.errstate(all="ignore")
+    @quiet
     def nodes() -> Array:
         # 4001 nodes between scores of -6 and 6, and 1000 on either side: shares are then known to
         # 1e-8

@@ -174,7 +174,7 @@ def sampled_indices(outputs: Array, blocks: Blocks) -> SampledIndices:
     """
     d = blocks.inputs_count
     evaluations = outputs.size
-    pairs = list(combinations(range(d), 2)) if blocks.second else []
+    pairs = combinations(range(d), 2) if blocks.second else ()
     base = outputs[:, :, [0, -1]]
     centre = base.mean()
     if not np.ptp(base) > 1e-14 * np.abs(base).max():

@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, Names, frozen, special
 from uqsphere.errors import UsageError
 
 from .estimate import Estimate, absent, from_replicates
@@ -62,7 +61,7 @@ def joint_to_chaospy(inputs: Joint) -> Distribution:
         raise UsageError(
             "chaospy has no Student t copula of this form; only a Gaussian one goes over"
         )
-    laws = [_law_to_chaospy(chaospy, law) for law in inputs.laws]
+    laws = [law_to_chaospy(law) for law in inputs.laws]
     if len(laws) == 1:
         return laws[0]
     if not inputs.dependent:
@@ -75,17 +74,19 @@ def _ends(law: Law) -> list[float]:
     return [float(law.ppf(1e-15)), float(law.isf(1e-15))]
 
 
-def _law_to_chaospy(chaospy: Any, law: Law) -> Distribution:
-    ends = law.ends
+def law_to_chaospy(law: Law, centre: float = 0.0, half: float = 1.0) -> Distribution:
+    """The law of (X - centre)/half, with X of this law, as a distribution of chaospy."""
+    chaospy = load_chaospy()
+    ends = [(end - centre) / half for end in law.ends]
     if (law.family.bounded or not ends) and law.family.name in CHAOSPY:
         return getattr(chaospy, CHAOSPY[law.family.name])(*law.parameters.values(), *ends)
-    low, high = _ends(law)
+    low, high = ((end - centre) / half for end in _ends(law))
     return chaospy.UserDistribution(
-        cdf=law.cdf,
-        pdf=None if law.is_steps else law.pdf,
+        cdf=lambda x: law.cdf(centre + half * x),
+        pdf=None if law.is_steps else lambda x: half * law.pdf(centre + half * x),
         lower=lambda: low,
         upper=lambda: high,
-        ppf=lambda p: np.clip(law.ppf(p), low, high),
+        ppf=lambda p: np.clip((law.ppf(p) - centre) / half, low, high),
     )
 
 
@@ -162,12 +163,12 @@ def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Arr
     return uniforms, inputs.physical(special.ndtri(uniforms))
 
 
-def _unit_problem(names: Sequence[str]) -> dict[str, Any]:
+def _unit_problem(names: Names) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
 def salib_measures(
-    method: str, uniforms: Array, outputs: Array, names: Sequence[str], *, seed: int = 0
+    method: str, uniforms: Array, outputs: Array, names: Names, *, seed: int = 0
 ) -> list[Estimate]:
     """SALib's measure of every input from uniform rows (n, d) and outputs (n,).
 

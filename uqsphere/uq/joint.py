@@ -18,7 +18,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, Names, frozen, special
 
 from .forms import CERTAIN, GAUSS, LawError, student_t
 from .law import Law
@@ -187,7 +187,7 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
     factor = 1.0 / np.sqrt((1.0 + common / first) * (1.0 + common / second))
     # rho is 1 for r = 1, which the points should say too
     whole = np.arcsin(factor).mean()
-    return float(brentq(lambda r: np.arcsin(r * factor).mean() / whole - spearman, -1.0, 1.0))
+    return brentq(lambda r: np.arcsin(r * factor).mean() / whole - spearman, -1.0, 1.0)
 
 
 # --- several inputs -------------------------------------------------------------------------------
@@ -287,7 +287,7 @@ class Joint:
                 normals[:, column] = copula.conditional_score(scores[:, :k], scores[:, k])
         return normals
 
-    def only(self, names: Sequence[str]) -> Joint:
+    def only(self, names: Names) -> Joint:
         """Some of the inputs, with what ties them to each other."""
         at = [self.names.index(name) for name in names]
         blocks = []
@@ -305,7 +305,7 @@ class Joint:
 
         `normals` (n, d) are independent standard normals; those of the given columns are not used.
         """
-        drawn = np.array(normals, dtype=float)
+        drawn = normals.copy()
         drawn[:, columns] = scores[:, columns]
         for block, copula in self.blocks:
             # those of the given columns come first
@@ -319,12 +319,12 @@ class Joint:
         """-∂ ln f/∂s (n, d) of the joint density f of the dependent normal scores s (n, d): s where
         nothing is tied.
         """
-        gradients = np.array(scores, dtype=float)
+        gradients = scores.copy()
         for columns, copula in self.blocks:
             gradients[:, columns] = copula.score_gradient(scores[:, columns])
         return gradients
 
-    def tie(self, target: str, drawn: Sequence[str], scores: Array) -> Tie:
+    def tie(self, target: str, drawn: Names, scores: Array) -> Tie:
         """What ties `target`, which is not drawn, to the drawn inputs at their dependent scores
         (..., d).
         """
@@ -336,9 +336,7 @@ class Joint:
         return FREE
 
 
-def make_joint(
-    names: Sequence[str], laws: Sequence[Law], dependences: Sequence[Dependence]
-) -> Joint:
+def make_joint(names: Names, laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:
     """Inputs with the dependences of a study.
 
     Raises LawError (keys "of", "spearman", "kendall", "dof", "copula") where they cannot hold.

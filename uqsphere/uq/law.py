@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from uqsphere.arrays import Array, frozen
+from uqsphere.arrays import Array, frozen, quiet
 
 from .families import FAMILIES, Family, family_named
 from .forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density, truncated
@@ -44,7 +44,7 @@ class Law:
     """
 
     family: Family
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     lower: float = -math.inf
     upper: float = math.inf
     data: tuple[float, ...] = ()
@@ -79,7 +79,7 @@ class Law:
         return self.family.bounded or not self.ends
 
     @cached_property
-    @np.errstate(divide="ignore", over="ignore")
+    @quiet
     def form(self) -> Form:
         """The standard form in force: the bounds of a bounded family are its own, and steps are
         left out.
@@ -103,6 +103,12 @@ class Law:
         return x
 
     @property
+    def inside(self) -> Array:
+        """The observations between the bounds (m,)."""
+        data = np.array(self.data)
+        return data[(data >= self.lower) & (data <= self.upper)]
+
+    @property
     def ends(self) -> list[float]:
         """Those of the bounds that are finite."""
         return [end for end in (self.lower, self.upper) if math.isfinite(end)]
@@ -112,12 +118,12 @@ class Law:
         """Whether it is a step function, which has no density."""
         return self.form.pdf is no_density
 
+    @quiet
     def tails(self, x: npt.ArrayLike) -> Tails:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
         small; any shape.
         """
-        with np.errstate(divide="ignore", over="ignore"):
-            return self.form.tails(self._standard(np.asarray(x, dtype=float)))
+        return self.form.tails(self._standard(np.asarray(x, dtype=float)))
 
     def cdf(self, x: npt.ArrayLike) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
@@ -127,10 +133,10 @@ class Law:
         """P(X > x) of the law in force, to full relative accuracy in the upper tail; any shape."""
         return self.tails(x)[1]
 
+    @quiet
     def _inverse(self, p: Array, q: Array) -> Array:
         """x from p and q = 1 - p, each exact where it is small."""
-        with np.errstate(divide="ignore", over="ignore"):
-            return np.clip(self._physical(self.form.quantile(p, q)), self.lower, self.upper)
+        return np.clip(self._physical(self.form.quantile(p, q)), self.lower, self.upper)
 
     def ppf(self, p: npt.ArrayLike) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
@@ -150,12 +156,12 @@ class Law:
             return self._physical(z)
         return self._inverse(*GAUSS.tails(z))
 
+    @quiet
     def pdf(self, x: Array) -> Array:
         """Density of the law in force; a step law has none and raises LawError.  Any shape."""
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            density = self.form.pdf(self._standard(x)) / self._whole[1]
-            if self.family.logarithmic:
-                density = density / x
+        density = self.form.pdf(self._standard(x)) / self._whole[1]
+        if self.family.logarithmic:
+            density = density / x
         return np.where((x >= self.lower) & (x <= self.upper) & (density > 0.0), density, 0.0)
 
     # --- moments ----------------------------------------------------------------------------------
@@ -170,7 +176,7 @@ class Law:
         return float(whole.ppf(0.5))
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")
+    @quiet
     def _moments(self) -> tuple[float, float]:
         """Mean and standard deviation in force: ∫ Q(Φ(z))^k φ(z) dz by the trapezoidal rule.
 
@@ -297,9 +303,7 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     )
 
 
-@np.errstate(
-    over="ignore", divide="ignore", invalid="ignore"
-)  # what is beyond floating point is refused
+@quiet  # what is beyond floating point is refused
 def checked(law: Law) -> Law:
     """The law, once it is known to have mass, a finite centre, and scatter that floating point can
     hold.

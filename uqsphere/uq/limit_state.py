@@ -96,8 +96,8 @@ def _interval(
     None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
     """
     size = counts.sum()
-    p = float(event.sum() / size)
-    q = float(other.sum() / size)
+    p = event.sum() / size
+    q = other.sum() / size
     # The smaller side has the digits.
     rows = (event if p <= q else other).sum(axis=1) / counts
     return p / (p + q), *probability_ends(p, q, spread(rows, cell), rows.size, size)
@@ -114,7 +114,7 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
     """
     below, above = tails(state)
     broken, late, (replicates, n) = state.broken, state.late, state.demands.shape
-    kept = (~broken).sum(axis=1).astype(float)
+    kept = (~broken).sum(axis=1)
     if kept.min() < 2:
         return absent("too few successful samples in a replicate", state.method, broken.size)
     cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
@@ -194,7 +194,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     broken = state.broken
     late = state.late
     total = state.demands.size
-    counts = (~broken).sum(axis=1).astype(float)
+    counts = (~broken).sum(axis=1)
     method = state.method
     zero = "the demand may be zero: the margin is unbounded"
     doubtful = strength.cdf(0.0) if isinstance(strength, Law) else strength <= 0.0

@@ -19,16 +19,15 @@ The streams of a study's seed, by the names of their tasks:
 """
 
 import hashlib
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import resources
-from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from uqsphere.arrays import Array
 
-Words: TypeAlias = npt.NDArray[np.uint64]
+Words = npt.NDArray[np.uint64]
 #: digits of a point
 BITS = 52
 
@@ -98,7 +97,7 @@ def sobol_points(
         for direction in directions[: (start + count - 1).bit_length()]:
             points = np.concatenate([points, points[::-1] ^ direction])
         corners = points[: start + count] * 0.5**bits
-    return np.asarray(corners[start:] + 0.5 ** (bits + 1))
+    return corners[start:] + 0.5 ** (bits + 1)
 
 
 @lru_cache(maxsize=64)
@@ -130,7 +129,7 @@ def _continued(polynomial: int, *first: int) -> Words:
     return np.array(numbers[:BITS], dtype=np.uint64) << np.arange(BITS, dtype=np.uint64)[::-1]
 
 
-@lru_cache(maxsize=1)
+@cache
 def _direction_numbers() -> list[list[int]]:
     """Polynomial and first direction numbers of every dimension."""
     text = resources.files("uqsphere.uq").joinpath("sobol.txt").read_text(encoding="utf-8")

@@ -25,7 +25,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places, frozen
 
-from .chaos import Chaos, GermLike, Integrals, fit_chaos, predict
+from .chaos import Chaos, Germs, Integrals, fit_chaos, predict
 from .chaos import integrals as integrals_of
 from .chaos.basis import score_of
 from .chaos.expansion import law_points
@@ -111,13 +111,7 @@ class Response:
         return self.outputs - self.levels
 
     @property
-    def fits(self) -> tuple[Chaos, ...]:
-        """The expansions of the folds that are trusted, else of all."""
-        trusted = self.trusted or range(len(self.folds))
-        return tuple(self.folds[k].fit for k in trusted)
-
-    @property
-    def germs(self) -> tuple[GermLike, ...]:
+    def germs(self) -> Germs:
         """What its points are given in."""
         return self.folds[0].fit.germs
 
@@ -184,7 +178,7 @@ class Response:
 def cross_fit(
     points: Array,
     outputs: Array,
-    germs: tuple[GermLike, ...],
+    germs: Germs,
     *,
     plain: bool = False,
     independent: bool = True,
@@ -221,7 +215,7 @@ def cross_fit(
     return responses
 
 
-def _fitted(points: Array, y: Array, germs: tuple[GermLike, ...], plain: bool) -> Response:
+def _fitted(points: Array, y: Array, germs: Germs, plain: bool) -> Response:
     """The response of outputs (n,), whose folds are all trusted as yet."""
     fold = folds_of(len(y), FOLDS)
     folds = []

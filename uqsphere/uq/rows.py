@@ -3,13 +3,12 @@ follow the distributions and the dependence of the inputs.
 """
 
 import math
-from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, is_labelled
+from uqsphere.arrays import Array, Flags, Names, is_labelled
 from uqsphere.errors import UsageError
 
 from .joint import Joint
@@ -46,7 +45,7 @@ def too_small(values: Array) -> bool:
     return bool(np.abs(values).max(initial=0.0) < SMALLEST_ANSWER and np.ptp(values) > 0.0)
 
 
-def as_table(rows: Any, names: Sequence[str]) -> Any:
+def as_table(rows: Any, names: Names) -> Any:
     """A labelled array or data set of xarray as a DataFrame by the inputs' names; anything else as
     it is.
 

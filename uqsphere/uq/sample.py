@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from uqsphere.arrays import Array, Cells, Flags, frozen
+from uqsphere.arrays import Array, Cells, Flags, Names, Places, frozen
 
 _ROWS = ("scores", "inputs", "answers", "censored", "status", "failed")
 
@@ -36,11 +35,11 @@ class Sample:
     quantities: tuple[str, ...]
     answers: Array
     censored: Flags
-    status: npt.NDArray[np.int64]
+    status: Places
     failed: Flags
 
     @classmethod
-    def at(cls, names: Sequence[str], scores: Array, inputs: Array) -> Sample:
+    def at(cls, names: Names, scores: Array, inputs: Array) -> Sample:
         """Points that are not evaluated yet."""
         shape = scores.shape[:2]
         none = np.empty((*shape, 0))
@@ -51,7 +50,7 @@ class Sample:
             quantities=(),
             answers=none,
             censored=none.astype(bool),
-            status=np.zeros(shape, dtype=np.int64),
+            status=np.zeros(shape, dtype=int),
             failed=np.zeros(shape, dtype=bool),
         )
 
@@ -95,7 +94,7 @@ class Sample:
         odd = self.late(quantity) | ~np.isfinite(self.answer(quantity))
         return not (odd.any() or self.failed.any())
 
-    def with_answers(self, quantities: Sequence[str], answers: Array, **flags: Any) -> Sample:
+    def with_answers(self, quantities: Names, answers: Array, **flags: Any) -> Sample:
         """The same points with answers (R, n, q); `censored`, `status` and `failed` are zero unless
         given.
         """

@@ -24,6 +24,7 @@ from uqsphere.arrays import Array, special
 
 from .chaos import germ_points, predict
 from .estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
+from .forms import Function
 from .indices import LARGE
 from .joint import Joint
 from .points import random_generator, sobol_points
@@ -36,9 +37,7 @@ MOST_EXACT, ORDERS = 6, 64
 POINTS = 512
 
 
-def closed_effects(
-    function: Callable[[Array], Array], joint: Joint
-) -> Callable[[tuple[int, ...]], Array]:
+def closed_effects(function: Function, joint: Joint) -> Callable[[tuple[int, ...]], Array]:
     """Share of the variance of `function`, scores of all replicates (R n, d) -> (R, n), which
     varies, that a set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
     d = len(joint.names)
@@ -57,7 +56,7 @@ def closed_effects(
     @cache
     def closed(subset: tuple[int, ...]) -> Array:
         if len(subset) in (0, d):
-            return np.append(float(len(subset) > 0), np.zeros(REPLICATES))
+            return np.append(len(subset) > 0, np.zeros(REPLICATES))
         z = (function(joint.redrawn(subset, base, fresh)) - centre) / unit
         square = 0.5 * (y * y + z * z).mean(axis=1)
         shared = (y * z).mean(axis=1)
@@ -86,7 +85,7 @@ def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimat
 
     def function(scores: Array) -> Array:
         parts = np.split(germ_points(scores, response.germs), REPLICATES)
-        fits = cycle(response.fits)
+        fits = cycle(fold.fit for fold in response.folds)
         return np.array([predict(fit, part) for fit, part in zip(fits, parts, strict=False)])
 
     def answer(effect: Array) -> Estimate:

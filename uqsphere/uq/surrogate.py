@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,13 +25,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, frozen, is_labelled
+from uqsphere.arrays import Array, Flags, Names, frozen, is_labelled
 from uqsphere.errors import UsageError
 
 from .chaos import (
     Chaos,
     ChaospyObjects,
-    GermLike,
+    Germs,
     fit_chaos,
     germ_points,
     germs_of,
@@ -79,7 +79,7 @@ class Prediction:
         return DataFrame(columns, index=self.index)
 
 
-def columns_of(rows: Any, names: Sequence[str]) -> Array:
+def columns_of(rows: Any, names: Names) -> Array:
     """Points (n, d) of an array in the order of the names, or of a table or mapping whose columns
     go by them.
 
@@ -142,7 +142,7 @@ def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
     return different[order], (sums.T / np.bincount(place.ravel())).T[order]
 
 
-def index_of(rows: Any, names: Sequence[str] = ()) -> Any:
+def index_of(rows: Any, names: Names = ()) -> Any:
     """The index of a table of pandas, or that of the first Series of a mapping; None without
     one.
     """
@@ -170,7 +170,7 @@ def in_order_of(column: Any, index: Any, name: str) -> Any:
     return column.reindex(index)
 
 
-def _points(joint: Joint, germs: Sequence[GermLike], x: Array) -> Array:
+def _points(joint: Joint, germs: Germs, x: Array) -> Array:
     """Germ points (n, d) at rows (n, d).  Raises UsageError for a step function, whose germ is not
     known.
     """
@@ -328,11 +328,11 @@ class Expansion:
         rng = random_generator(seed=seed, task="expansion")
         x = self.joint.physical(rng.standard_normal((count, len(self.names))))
         value = predict(self.fit, self._points(x))
-        return DataFrame(x, columns=list(self.names)).assign(output=value)
+        return DataFrame(x, columns=self.names).assign(output=value)
 
     def quantiles(self, p: ArrayLike, *, count: int = 1 << 17, seed: int = 0) -> Array:
         """Quantiles of the expansion's values at probabilities, of so many draws of the inputs."""
-        draws = self.sample(count, seed=seed)["output"].to_numpy(dtype=float)
+        draws = self.sample(count, seed=seed)["output"].to_numpy()
         return np.asarray(np.quantile(draws, np.asarray(p, dtype=float)), dtype=float)
 
     def save(self, path: str | Path) -> None:

@@ -2,7 +2,16 @@
 chaospy's objects.
 """
 
-from .basis import Germ, GermLike, base_of, germ_points, germs_of, hyperbolic_indices, rows_of
+from .basis import (
+    Germ,
+    GermLike,
+    Germs,
+    base_of,
+    germ_points,
+    germs_of,
+    hyperbolic_indices,
+    rows_of,
+)
 from .expansion import Chaos, ChaospyObjects, Integrals, integrals, predict, projections
 from .fit import fit_chaos
 
@@ -11,6 +20,7 @@ __all__ = [
     "ChaospyObjects",
     "Germ",
     "GermLike",
+    "Germs",
     "Integrals",
     "base_of",
     "fit_chaos",

@@ -9,15 +9,16 @@ the same points.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array, Places, Values, frozen, special
-from uqsphere.uq.families import FAMILIES, Family
+from uqsphere.uq.families import FAMILIES
+from uqsphere.uq.forms import Function
 from uqsphere.uq.law import Law
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11
@@ -42,7 +43,7 @@ class Germ:
     centre: float
     half: float
     base: str
-    table: Callable[[Array], Array]
+    table: Function
     recurrence: Array
 
     def values(self, points: Array) -> Values:
@@ -52,7 +53,8 @@ class Germ:
         return self.table(np.clip(points, -REACH, REACH))
 
 
-GermLike: TypeAlias = str | Germ
+GermLike = str | Germ
+Germs = tuple[GermLike, ...]
 
 
 def values_of(germ: GermLike, points: Array) -> Values:
@@ -86,7 +88,7 @@ def recurrence_of(germ: GermLike, degree: int) -> Array:
     return np.array([np.zeros_like(k), k if germ == "normal" else k * k / (4.0 * k * k - 1.0)])
 
 
-def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Array:
+def stieltjes(values: Array, weights: Array, degree: int) -> Array:
     """Recurrence (2, degree + 1) of a law with these values (n,) and probabilities (Gautschi 2004,
     section 2.2.3).
 
@@ -106,7 +108,7 @@ def stieltjes(values: Array, weights: Array, degree: int = HIGHEST_DEGREE) -> Ar
     return recurrence
 
 
-def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
+def germs_of(laws: Iterable[Law]) -> Germs:
     """What an expansion is in: the polynomials of each law where it has its own, else Legendre's or
     Hermite's.
     """
@@ -114,37 +116,17 @@ def germs_of(laws: Iterable[Law]) -> tuple[GermLike, ...]:
 
 
 def _germ_of(law: Law) -> GermLike:
-    if _own_polynomials(law):
-        return _own_germ(law.family, tuple(law.parameters.items()), law.lower, law.upper)
-    if law.is_steps and 1 < len(np.unique(law.data)) <= MOST_STEPS:
-        return _steps_germ(law)
+    few = law.is_steps and 1 < len(np.unique(law.data)) <= MOST_STEPS
+    if few or _own_polynomials(law):
+        return _own_germ(law)
     return law.family.germ
-
-
-def _steps_germ(law: Law) -> Germ:
-    """The germ of a law with few values, whose polynomials are those of its probabilities."""
-    scores, weights = steps_of(law)
-    values = law.from_normal(scores)
-    low, *_, high = values.tolist()
-    centre = 0.5 * (low + high)
-    half = 0.5 * (high - low) or 1.0
-    return Germ(
-        law=law,
-        centre=centre,
-        half=half,
-        base="normal",
-        table=lambda scores: (law.from_normal(scores) - centre) / half,
-        recurrence=stieltjes((values - centre) / half, weights, len(values) - 1),
-    )
 
 
 def steps_of(law: Law) -> tuple[Array, Array]:
     """Normal scores (m,) in the middle of the steps of a law with few values, and their
     probabilities.
     """
-    data = np.array(law.data)
-    inside = data[(data >= law.lower) & (data <= law.upper)]
-    counts = np.unique(inside, return_counts=True)[1]
+    counts = np.unique(law.inside, return_counts=True)[1]
     weights = counts / counts.sum()
     return special.ndtri(np.cumsum(weights) - 0.5 * weights), weights
 
@@ -183,34 +165,39 @@ def _own_polynomials(law: Law) -> bool:
 
 
 @lru_cache(maxsize=256)
-def _own_germ(
-    family: Family, parameters: tuple[tuple[str, float], ...], lower: float, upper: float
-) -> GermLike:
+def _own_germ(law: Law) -> GermLike:
     """The germ of a law of its own, cut where 2e-33 is left; that of its family where it has no
     such polynomials.
 
-    Its integrals are those of the trapezoidal rule in normal scores, as for the moments of a law.
+    Its integrals are those of the trapezoidal rule in normal scores, as for the moments of a law;
+    of a law with few values they are sums over these.
     """
     from scipy.interpolate import CubicSpline
 
-    law = Law(family=family, parameters=dict(parameters), lower=lower, upper=upper)
     scores = np.linspace(-REACH, REACH, KNOTS)
-    values = law.from_normal(scores)
     weights = np.exp(-0.5 * scores**2)
-    ends = np.array([law.ppf(0.0), upper])
+    degree = HIGHEST_DEGREE
+    if law.is_steps:
+        scores, weights = steps_of(law)
+        degree = len(scores) - 1
+    values = law.from_normal(scores)
+    ends = np.array([law.ppf(0.0), law.upper])
     low, high = np.where(np.isfinite(ends), ends, values[[0, -1]]).tolist()
     centre = 0.5 * (low + high)
-    half = 0.5 * (high - low)
-    standard = (values - centre) / half
-    recurrence = stieltjes(standard, weights / weights.sum())
+    half = 0.5 * (high - low) or 1.0
+
+    def standard(scores: Array) -> Values:
+        return (law.from_normal(scores) - centre) / half
+
+    recurrence = stieltjes(standard(scores), weights / weights.sum(), degree)
     if not (np.isfinite(recurrence).all() and (recurrence[1] > 0.0).all()):
-        return family.germ
+        return law.family.germ
     return Germ(
         law=law,
         centre=centre,
         half=half,
-        base=family.germ,
-        table=CubicSpline(scores, standard),
+        base=law.family.germ,
+        table=standard if law.is_steps else CubicSpline(scores, standard(scores)),
         recurrence=recurrence,
     )
 
@@ -235,7 +222,7 @@ def orthonormal(germ: GermLike, degree: int, x: Values) -> list[Any]:
     return values
 
 
-def germ_points(normals: Array, germs: Sequence[GermLike]) -> Array:
+def germ_points(normals: Array, germs: Germs) -> Array:
     """Independent standard normals (..., d) -> points (..., d) of the germs' bases: as they are,
     or 2Φ(z) - 1.
     """
@@ -256,7 +243,7 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> P
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    rows = np.zeros((1, 0), dtype=np.int64)
+    rows = np.zeros((1, 0), dtype=int)
     used = np.zeros(1)
     for _ in range(dimension):
         total = used[:, None] + np.arange(degree + 1.0) ** norm
@@ -276,14 +263,14 @@ def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Places
     The rows are ordered so that the set of every degree comes first.  The constant alone and no
     degree where the first has too many.
     """
-    sets = [np.zeros((1, dimension), dtype=np.int64)]
+    sets = [np.zeros((1, dimension), dtype=int)]
     for degree in range(1, highest + 1):
         indices = hyperbolic_indices(dimension, degree, norm, most)
         if indices is None:
             break
         sets.append(indices)
     terms = sets[-1]
-    reach = (terms.astype(float) ** norm).sum(axis=1) ** (1.0 / norm)
+    reach = (terms**norm).sum(axis=1) ** (1.0 / norm)
     # a sum of roots may miss a whole number by rounding
     return terms[np.argsort(np.ceil(reach - 1e-6), kind="stable")], tuple(map(len, sets[1:]))
 
@@ -310,7 +297,7 @@ def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
                 rank[above] = max(ranks.get(low, 0.0) for low in lower)
     inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
     outer = sorted(rank, key=lambda row: (-rank[row], sum(row), row))
-    return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=np.int64)
+    return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=int)
 
 
 def _below(row: tuple[int, ...]) -> list[tuple[int, ...]]:
@@ -335,7 +322,7 @@ def skipping(active: Places, highest: int) -> Places:
     above = active[places[:, 0]]
     above[np.arange(len(above)), places[:, 1]] += 2
     rows = set(map(tuple, above.tolist())) - set(map(tuple, active.tolist()))
-    return np.array(sorted(rows), dtype=np.int64).reshape(-1, active.shape[1])
+    return np.array(sorted(rows), dtype=int).reshape(-1, active.shape[1])
 
 
 def products(tables: Sequence[Array], terms: Places) -> Array:
@@ -350,7 +337,7 @@ def products(tables: Sequence[Array], terms: Places) -> Array:
     return matrix
 
 
-def rows_of(germs: Sequence[GermLike], points: Array, terms: Places) -> Array:
+def rows_of(germs: Germs, points: Array, terms: Places) -> Array:
     """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
     triples = zip(germs, points.T, terms.max(axis=0).tolist(), strict=True)
     return products([orthonormal_values(*triple) for triple in triples], terms)

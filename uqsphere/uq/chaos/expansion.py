@@ -7,28 +7,18 @@ squares at points of the law, which is the control variate of the pairs of point
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, frozen, special
+from uqsphere.arrays import Array, Flags, Names, Places, frozen, special
 from uqsphere.uq.estimate import ratio_of_means, spread, spreads, student
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
 from uqsphere.uq.points import sobol_points
 
-from .basis import (
-    Germ,
-    GermLike,
-    germ_points,
-    highest_degrees,
-    nested,
-    orthonormal,
-    rows_of,
-    steps_of,
-)
+from .basis import Germ, Germs, germ_points, highest_degrees, nested, orthonormal, rows_of, steps_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -74,7 +64,7 @@ class Chaos:
 
     coefficients: Array
     multi_indices: Places
-    germs: tuple[GermLike, ...]
+    germs: Germs
     log: bool = False
     sign: float = 1.0
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -104,7 +94,7 @@ class Chaos:
         active = self.multi_indices > 0
         return np.stack([active & (active.sum(axis=1, keepdims=True) == 1), active])
 
-    def to_frame(self, names: Sequence[str] = ()) -> DataFrame:
+    def to_frame(self, names: Names = ()) -> DataFrame:
         """The terms: one row each with the degree in every input and the coefficient."""
         from pandas import DataFrame
 
@@ -120,7 +110,7 @@ class Chaos:
         Terms are multiplied out over the inputs that they have, so that the cost grows with terms
         and not with inputs.
         """
-        from uqsphere.uq.interop import load_chaospy
+        from uqsphere.uq.interop import law_to_chaospy, load_chaospy
 
         chaospy = load_chaospy()
         import numpoly
@@ -148,7 +138,13 @@ class Chaos:
             )
             for part in (table @ self.coefficients, table)
         )
-        germs = [_germ_of_chaospy(chaospy, germ) for germ in self.germs]
+        standard = {"normal": chaospy.Normal, "uniform": lambda: chaospy.Uniform(-1.0, 1.0)}
+        germs = [
+            law_to_chaospy(germ.law, germ.centre, germ.half)
+            if isinstance(germ, Germ)
+            else standard[germ]()
+            for germ in self.germs
+        ]
         joint = germs[0] if len(germs) == 1 else chaospy.J(*germs)
         return ChaospyObjects(polynomial, expansion, self.coefficients, joint, self.log)
 
@@ -161,7 +157,7 @@ class Chaos:
             return self
         inputs = np.flatnonzero(self.multi_indices.any(axis=0))
         degrees, _ = nested(len(inputs), 0.75, 10, PLAIN)
-        terms = np.zeros((len(degrees), len(self.germs)), dtype=np.int64)
+        terms = np.zeros((len(degrees), len(self.germs)), dtype=int)
         terms[:, inputs] = degrees
         points = law_points(self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
@@ -174,23 +170,6 @@ class Chaos:
             cross_validation_error=0.0,
             samples=len(points),
         )
-
-
-def _germ_of_chaospy(chaospy: Any, germ: GermLike) -> Any:
-    if not isinstance(germ, Germ):
-        return chaospy.Normal(0.0, 1.0) if germ == "normal" else chaospy.Uniform(-1.0, 1.0)
-    law = germ.law
-    centre = germ.centre
-    half = germ.half
-    if law.family.name == "beta":
-        return chaospy.Beta(law.parameters["alpha"], law.parameters["beta"], -1.0, 1.0)
-    return chaospy.UserDistribution(
-        cdf=lambda x: law.cdf(centre + half * np.asarray(x)),
-        pdf=lambda x: law.pdf(centre + half * np.asarray(x)) * half,
-        lower=lambda: -1.0,
-        upper=lambda: 1.0,
-        ppf=lambda p: np.clip((law.ppf(p) - centre) / half, -1.0, 1.0),
-    )
 
 
 def predict(fit: Chaos, points: Array) -> Array:
@@ -247,7 +226,7 @@ def integrals(fit: Chaos) -> Integrals:
     plain = fit.plain_form
     parts = plain.parts
     varying = plain.coefficients * parts[1].any(axis=1)
-    unit = float(np.abs(varying).max())  # squares of large ones stay finite
+    unit = np.abs(varying).max()  # squares of large ones stay finite
     squares = (varying / unit) ** 2
     mean = float(plain.coefficients[0])
     whole = float(squares.sum())
@@ -266,7 +245,7 @@ def integrals(fit: Chaos) -> Integrals:
     t = student(PAIRS_REPLICATES)
     return Integrals(
         mean=mean + unit * float(middle.mean()),
-        sd=unit * math.sqrt(max(float(scale.mean()), 0.0)),
+        sd=unit * math.sqrt(max(scale.mean(), 0.0)),
         first=first,
         total=total,
         error=t * float(spreads(off).max()),
@@ -284,14 +263,14 @@ def _pair_parts(y: Array) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=4)
-def law_points(germs: tuple[GermLike, ...]) -> Array:
+def law_points(germs: Germs) -> Array:
     """Germ points (BLOCK, d) of the law, at which expansions are compared."""
     points = sobol_points(dimension=len(germs), count=BLOCK, seed=0, task="polynomial chaos")
     return germ_points(special.ndtri(points), germs)
 
 
 @lru_cache(maxsize=4)
-def _pair_points(germs: tuple[GermLike, ...]) -> Array:
+def _pair_points(germs: Germs) -> Array:
     """Germ points (R, N, d + 2, d) of the pairs that integrate ln y: replicates of base points with
     their blocks.
     """

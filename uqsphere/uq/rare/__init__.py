@@ -9,7 +9,8 @@ where the two disagree the interval holds both, and that is said.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,8 +67,7 @@ DEFENSIVE = 0.1
 UNCERTIFIED = 10.0
 
 
-@dataclass(frozen=True, eq=False)
-class RareAnswer:
+class RareAnswer(NamedTuple):
     """The probability of failure and what stands behind it.
 
     Attributes
@@ -155,7 +155,7 @@ def failure_probability(
             evaluations=evaluator.count + survival.count,
             reason=reason and reason.replace("failure", "survival"),
         )
-        return replace(survived, estimate=failure)
+        return survived._replace(estimate=failure)
     # a mixture of what the three ways to look have seen
     parts = []
     if len(subset.failures):
@@ -217,7 +217,7 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
     """The answer if the masses of failure (n,) of the plain share agree with it, else one whose
     interval holds what they show, and a warning.
     """
-    met = float(np.nansum(mass))
+    met = np.nansum(mass)
     size = mass.size
     if estimate.high is None or met < 1.0:
         return estimate, warning

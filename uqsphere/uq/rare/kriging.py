@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -135,7 +135,7 @@ def _corrected(
         variance = np.append(variance, doubt * ratio**2)
         # counted changes of side, or the expected ones where fewer were counted
         error = math.sqrt(max(off.var(), variance.mean()) / off.size)
-        shift = float(off.mean())
+        shift = off.mean()
         value = max(base + shift**3 / (shift**2 + error**2 or 1.0), 1e-3 * base)
         error = math.hypot(error, answer.estimate.std_error or 0.0)
         half = student(math.inf) * error
@@ -150,8 +150,7 @@ def _corrected(
 # --- the process ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Kriging:
+class Kriging(NamedTuple):
     """A Gaussian process given values at points.
 
     points : (n, d)
@@ -223,7 +222,7 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
         trend: Any = np.linalg.lstsq(inverse @ basis, inverse @ values, rcond=None)[0]
         residuals = values - basis @ trend
         weights = inverse.T @ (inverse @ residuals)
-        variance = max(float(residuals @ weights) / n, 1e-300)
+        variance = max(residuals @ weights / n, 1e-300)
         return Kriging(points, lengths, trend, inverse, weights, variance), shared
 
     def loss(logs: Array) -> tuple[float, Array]:

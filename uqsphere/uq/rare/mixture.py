@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, frozen, special
+from uqsphere.arrays import Array, Cells, special
 from uqsphere.uq.describe import hill
 from uqsphere.uq.estimate import (
     REPLICATES,
@@ -48,8 +49,7 @@ STEPS = 5
 MOST_STAGES, ENOUGH = 6, 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class Mixture:
+class Mixture(NamedTuple):
     """Gaussians: shares (K,) of sum 1, means (K, d), and lower Cholesky factors (K, d, d) of their
     covariances.
     """
@@ -84,7 +84,7 @@ class Mixture:
         wanted = 1.0 + self.shares * (count - self.shares.size)
         counts = np.floor(wanted)
         counts[np.argsort(counts - wanted, kind="stable")[: count - int(counts.sum())]] += 1.0
-        return replace(self, shares=counts / count)
+        return self._replace(shares=counts / count)
 
     def moved(self, normals: Array) -> Array:
         """Points (n, d) from standard normals (n, d), those of one component after the other.
@@ -157,7 +157,7 @@ def defended(mixture: Mixture) -> Mixture:
     d = mixture.means.shape[1]
     if d > MOST_DIMENSIONS:
         return joined([0.9, 0.1], [mixture, standard_normal(d)])
-    copies = replace(mixture, factors=1.6 * mixture.factors)
+    copies = mixture._replace(factors=1.6 * mixture.factors)
     return joined([0.84, 0.12, 0.04], [mixture, copies, wide_mixture(d)])
 
 
@@ -211,7 +211,7 @@ def _moments(points: Array, share: Array, number: float, before: Array) -> tuple
     if before.any():
         ahead = before * (mean @ before) / (before @ before)
         aside = mean - ahead
-        noise = d / number / max(float(aside @ aside), 1e-300)
+        noise = d / number / max(aside @ aside, 1e-300)
         mean = ahead + max(1.0 - noise, 0.0) * aside
     off = points - mean
     direction = mean / max(float(np.linalg.norm(mean)), 1e-300)
@@ -224,8 +224,7 @@ def _moments(points: Array, share: Array, number: float, before: Array) -> tuple
 # --- stages ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(NamedTuple):
     """Points (..., n, d) that were drawn from a mixture, with the function's answers (..., n)."""
 
     mixture: Mixture
@@ -293,8 +292,7 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
 # --- the answer -----------------------------------------------------------------------------------
 
 
-@frozen(eq=False)
-class ImportanceAnswer:
+class ImportanceAnswer(NamedTuple):
     """An estimate with the share of its largest weight; it is trusted where no few weights decide,
     and their variance is finite: the order of their tail by Hill's rule is above 2 (of 720 thin
     rings two were sure and wrong so)."""
@@ -323,7 +321,7 @@ def importance_sampling(
     block = max(min(256, evaluator.left // (4 * REPLICATES)), mixture.shares.size)
     draws = Draws(mixture.drawn(block), np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0)))
     nothing = absent("the budget does not suffice for importance sampling", METHOD, 0)
-    answer = ImportanceAnswer(estimate=nothing)
+    answer = ImportanceAnswer(nothing)
     while answer.estimate.half_width > accuracy * (answer.estimate.value or 0.0):
         more = min(max(done // 2, 1), evaluator.left // (REPLICATES * block))
         if more < 1:
@@ -337,7 +335,7 @@ def importance_sampling(
         answers = np.hstack([draws.answers, evaluator.answers(rows).reshape(REPLICATES, -1)])
         draws = Draws(draws.mixture, points, answers)
         done += more
-        answer = replace(weigh(evaluator, [draws]), draws=draws)
+        answer = weigh(evaluator, [draws])._replace(draws=draws)
     return answer
 
 
@@ -351,22 +349,20 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
     if lost.any():
         method += ", interval widened for failed rows"
         extra = float(lost.mean()) + student(REPLICATES) * spread(lost.mean(axis=1))
-    value = float(rows.mean())
+    value = rows.mean()
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
         nothing = absent("no failure among the points", method, evaluator.count, below=high)
-        return ImportanceAnswer(estimate=nothing)
+        return ImportanceAnswer(nothing)
     error = max(spread(rows), 1e-12 * value)
     if not evaluator.integrated:
-        error = max(error, HARD * float(weights.std()) / math.sqrt(weights.size))
+        error = max(error, HARD * weights.std() / math.sqrt(weights.size))
     low, high, _ = probability_ends(value, 1.0 - value, error, REPLICATES, weights.size)
     high = min(high + extra, 1.0)
     heaviest = weights.max() / weights.sum()
-    return ImportanceAnswer(
-        estimate=bounded(value, low, high, error, method, evaluator.count),
-        heaviest=heaviest,
-        trusted=heaviest < 0.1 and hill(weights[weights > 0.0]) > 2.0,
-    )
+    estimate = bounded(value, low, high, error, method, evaluator.count)
+    trusted = heaviest < 0.1 and hill(weights[weights > 0.0]) > 2.0
+    return ImportanceAnswer(estimate, heaviest, trusted)
 
 
 def nearby(

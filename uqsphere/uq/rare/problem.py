@@ -62,10 +62,15 @@ class Evaluator:
         self, dimension: int, count: int, task: str, replicate: int = 0, start: int = 0
     ) -> Array:
         """Quasi-random standard normal points (count, dimension)."""
-        key = {"seed": self.seed, "replicate": replicate}
-        return special.ndtri(
-            sobol_points(dimension=dimension, count=count, start=start, task=task, **key)
+        uniforms = sobol_points(
+            dimension=dimension,
+            count=count,
+            start=start,
+            seed=self.seed,
+            task=task,
+            replicate=replicate,
         )
+        return special.ndtri(uniforms)
 
     def answers(self, points: Array) -> Array:
         """The function at points (n, dimension); nan beyond `REACH`, where nothing is evaluated.

@@ -7,7 +7,7 @@ levels for independent and is too small: the interval is that of whole repetitio
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,7 @@ SHARE, ACCEPTANCE, MOST_LEVELS = 0.1, 0.44, 14
 REPETITIONS = 4
 
 
-@dataclass(frozen=True, eq=False)
-class SubsetAnswer:
+class SubsetAnswer(NamedTuple):
     """The probability, and points (n, size) of the failure domain distributed as the variables
     given failure.
 
@@ -116,8 +115,8 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
         reason = f"no failure was reached; its probability is below {high:.2g}"
         return SubsetAnswer(absent(reason, method, evaluator.count, below=high), failures[0], level)
     # where some repetitions reached a failure domain that others did not, answers are worlds apart
-    value = float(probability.mean())
-    error = float(shares.max())
+    value = probability.mean()
+    error = shares.max()
     low = 0.0
     high = min(10.0 * error, 1.0)
     if shares.size == REPETITIONS:
