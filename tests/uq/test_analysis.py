@@ -218,6 +218,8 @@ def test_an_expansion_is_sampled_and_kept_in_a_file(tmp_path: Any) -> None:
     assert made.quantiles([0.1, 0.5]) == pytest.approx(np.quantile(draws, [0.1, 0.5]), abs=0.02)
     rows = FRAME.set_index(FRAME.index + 7).head(3)
     assert made.predict(rows).to_frame().index.tolist() == [7, 8, 9]
+    # a Series is one row, whose index is its name
+    assert made.predict(rows.loc[8]).to_frame().index.tolist() == [8]
     for content in (b"nothing", pickle.dumps(made.names), b'{"class": "system"}', b"[1, 2]"):
         (tmp_path / "other").write_bytes(content)
         with pytest.raises(UsageError, match="does not hold an expansion"):

@@ -195,7 +195,7 @@ def _column(value: Any, name: str, count: int) -> Array:
         if answers.dtype.kind not in "fiubO":
             raise TypeError(f"its type is {answers.dtype}")
         mask = np.ma.getmaskarray(answers)  # type: ignore[no-untyped-call]
-        column: Array = np.where(mask, np.nan, np.ma.filled(answers, 0)).astype(float)
+        column = np.where(mask, np.nan, np.ma.filled(answers, 0)).astype(float)
     except BaseException as error:  # reading a foreign object can raise anything
         raise ModelError(
             f"the model's {name!r} is not an array of numbers: {describe_error(error)}"

@@ -33,8 +33,10 @@ class Cache:
     Every method raises AccessError where the cache cannot be used.
     """
 
+    damaged = 0
+
     def __init__(self, path: Path, model: bytes, inputs: Names, outputs: Names) -> None:
-        self.path, self.damaged = path, 0
+        self.path = path
         self._outputs = len(outputs)
         self._about = hashlib.blake2b(repr((model, inputs, outputs)).encode()).digest()
         with self._access():

@@ -45,7 +45,7 @@ def answer_rows(
     answers = np.full((total, len(model.outputs)), np.nan)
     failures = dict[int, NoAnswer]()
     died_once = set[int]()
-    together: Places = np.arange(0)
+    together = np.arange(0)
     # two sizes, none between: the last digits of a model may depend on the rows of a call, and time
     # does not repeat
     size = LARGEST_CALL

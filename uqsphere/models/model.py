@@ -63,6 +63,11 @@ class Model:
     cache_file: Path | None = None
     stop: Callable[[], bool] | None = None
     progress: Callable[[int, int], None] | None = None
+    calls = evaluations = reused = 0
+    #: seconds and rows of all calls but the first, which may import and compile
+    _seconds = _rows = 0.0
+    #: rows called by themselves to compare: none, one, or the ends of a call of several
+    _compared = 0
 
     def __post_init__(self) -> None:
         from uqsphere.mechanics.integrator.solve import thread_count
@@ -91,12 +96,7 @@ class Model:
         if self.threads is not None and (type(self.threads) is not int or self.threads < 1):
             raise UsageError(f"threads must be a positive integer, not {self.threads!r}")
         self._processes = self.threads or thread_count()
-        #: seconds and rows of all calls but the first, which may import and compile
-        self.calls, self._seconds, self._rows = 0, 0.0, 0
-        self.evaluations = self.reused = 0
-        #: rows called by themselves to compare: none, one, or the ends of a call of several
-        self._compared = 0
-        self._cache: Cache | None = None
+        self._cache = None
         self._notes = list[str]()
         means = study.at_means()
         if box is None:
@@ -254,7 +254,7 @@ class Model:
         if failed.any():
             k = int(np.argmax(failed))
             j = int(np.argmin(usable[k]))
-            reason: object = f"the model returned {columns[j]} = {values[k, j]:g}"
+            reason = f"the model returned {columns[j]} = {values[k, j]:g}"
             if np.isfinite(values[k, j]):
                 reason = f"{reason}, too large"
             note = f"{failures.get(k, reason)} {where_of(self.inputs, whole[k])}"
@@ -271,7 +271,7 @@ class Model:
     def add_call(self, seconds: float, rows: int) -> None:
         """Count a call that was answered; the time of the first is forgotten at the second."""
         if self.calls == 1:
-            self._seconds, self._rows = 0.0, 0
+            self._seconds = self._rows = 0.0
         self.calls += 1
         self._seconds += seconds
         self._rows += rows

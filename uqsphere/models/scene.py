@@ -116,12 +116,7 @@ def solve_scene(
 
 
 def evaluate_scene(
-    study: Study,
-    names: Names,
-    rows: Array,
-    columns: Names,
-    *,
-    threads: int | None = None,
+    study: Study, names: Names, rows: Array, columns: Names, *, threads: int | None = None
 ) -> EvaluatedRows:
     """Answers of the impact model to rows (n, d).
 

@@ -168,7 +168,10 @@ def serve(parent: int) -> None:
 class _Process:
     """A process of this machine that calls the model; it ends with everything it has started."""
 
+    _started = _late = False
+
     def __init__(self, packed: bytes) -> None:
+        self.packed = packed
         program = _PROGRAM.format(
             path=[entry or os.getcwd() for entry in sys.path], parent=os.getpid()
         )
@@ -178,7 +181,6 @@ class _Process:
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the run
         )
-        self.packed, self._started, self._late = packed, False, False
 
     def call(self, rows: Array, limit: float | None) -> Timed:
         """Answers to rows, within a limit [s]; raises as `result`."""
@@ -255,7 +257,7 @@ _kept = threading.local()
 
 def _process_of_thread(packed: bytes) -> _Process:
     """The process that calls a model for this thread: the one before if it can be called again."""
-    process: _Process | None = getattr(_kept, "process", None)
+    process = getattr(_kept, "process", None)
     if process is None or process.packed != packed or not process.is_alive:
         process = _kept.process = _Process(packed)  # the one before is ended as it is forgotten
     return process
@@ -278,16 +280,18 @@ class Workers:
         exceeds the limit, is replaced.  0 for this process.
     """
 
+    _packed = b""
+    _threads: ThreadPoolExecutor | None = None
+    count = 0
+
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
-        self._executor = executor
+        self._task, self._executor, self._limit = task, executor, limit
         self._answer: Any = answer
         if hasattr(executor, "get_executor"):
             # the same call twice is two evaluations, which Dask would not make
             self._executor, self._answer = executor.get_executor(pure=False), answer_apart
         if executor is not None and not callable(getattr(self._executor, "submit", None)):
             raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
-        self._task, self._packed, self._limit, self.count = task, b"", limit, 0
-        self._threads: ThreadPoolExecutor | None = None
         self._processes = WeakSet[_Process]()
         self._lock = threading.Lock()
         if executor is not None:

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from uqsphere.arrays import Array, frozen, special
 
+from .describe import rising
 from .estimate import (
     SURE,
     Estimate,
@@ -77,8 +77,7 @@ def fragility(
             )
         else:
             least = 0.5 / (samples * replicates)
-            value = _value(grid, probabilities, target, least, folds)
-            values[target] = replace(value, evaluations=evaluations)
+            values[target] = _value(grid, probabilities, target, least, folds, evaluations)
     return Fragility(curve=curve, values=values)
 
 
@@ -101,7 +100,7 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
     direction = np.where(bounded[-1] >= bounded[0], 1.0, -1.0)
     scores = direction * (special.ndtri(bounded) - special.ndtri(target))
     # half-way between the running maximum and the running minimum from the right
-    scores = 0.5 * (np.maximum.accumulate(scores) + np.minimum.accumulate(scores[::-1])[::-1])
+    scores = np.mean(rising(scores), axis=0)
     passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
     crossings = np.full(passes.size, math.nan)
     for r in np.flatnonzero(passes):
@@ -112,7 +111,12 @@ def _crossings(places: Array, probabilities: Array, target: float, least: float)
 
 
 def _value(
-    grid: Array, probabilities: Array, target: float, least: float, folds: Array | None
+    grid: Array,
+    probabilities: Array,
+    target: float,
+    least: float,
+    folds: Array | None,
+    evaluations: int,
 ) -> Estimate:
     """Value at the target with the spread of the replicates' own answers and of those of folds, and
     the error of interpolation.
@@ -127,7 +131,7 @@ def _value(
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
             f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}",
             METHOD,
-            0,
+            evaluations,
         )
     replicates = _crossings(places, probabilities, target, least)
     half = student(replicates.size) * spread(replicates)
@@ -135,7 +139,7 @@ def _value(
         half = math.hypot(half, fold_spread(_crossings(places, folds, target, least)))
     if math.isnan(half):
         return absent(
-            "too close to an end of the range: some replicates do not reach it", METHOD, 0
+            "too close to an end of the range: some replicates do not reach it", METHOD, evaluations
         )
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
@@ -144,4 +148,4 @@ def _value(
     if not math.isnan(other):
         half += abs(other - centre) / 4.0
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
-    return between(value, low, high, replicates.size, METHOD, 0)
+    return between(value, low, high, replicates.size, METHOD, evaluations)

@@ -222,9 +222,11 @@ def quantile_estimates(
         error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / samples.shape[1])
         answers[p] = quantile([read, upper], p, error, len(samples), method, total)
         if answers[p].value is None:
-            shares = ("censored", censored.mean()), ("failed", (failed & kept).mean())
-            parts = [f"the {what} share ({100.0 * part:.2f} %)" for what, part in shares if part]
-            answers[p] = absent("beyond " + " and ".join(parts), method, total)
+            reason = (
+                f"beyond the censored share ({100.0 * censored.mean():.2f} %) and the failed share "
+                f"({100.0 * (failed & kept).mean():.2f} %)"
+            )
+            answers[p] = absent(reason, method, total)
     return answers
 
 
@@ -309,7 +311,7 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
 
 
 def rising(levels: Array) -> tuple[Array, Array]:
-    """The running maximum of levels (n,), and their running minimum from the right: the nearest
+    """The running maximum of levels (n, ...), and their running minimum from the right: the nearest
     levels above and below that never fall.
     """
     return np.maximum.accumulate(levels), np.minimum.accumulate(levels[::-1])[::-1]

@@ -6,8 +6,6 @@ A row says which keys a study gives, and makes of them a location, a scale and t
 from the rows; what is fitted to observations stands in `fitting`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import field
@@ -36,18 +34,7 @@ DIMENSIONAL = frozenset(
     {"mean", "sd", "scale", "location", "threshold", "mode", "loc", "lower", "upper"}
 )
 #: keys that must be above zero in every family that has them
-_POSITIVE = (
-    "sd",
-    "cov",
-    "log_sd",
-    "scale",
-    "modulus",
-    "shape",
-    "dof",
-    "rate",
-    "alpha",
-    "beta",
-)
+_POSITIVE = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
 
 
 @frozen(eq=False)
@@ -72,7 +59,7 @@ class Family:
     #: another key set than the first, with sd for cov -> parameters that it gives; raises LawError
     from_moments: Callable[..., Keys] | None = None
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
-    observed: Callable[[Law], Form] | None = None
+    observed: "Callable[[Law], Form] | None" = None
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name
@@ -137,10 +124,11 @@ class Family:
         keys = {**self.optional, **table}
         for key in _POSITIVE:
             if keys.get(key, 1.0) <= 0.0:
-                hint = ""
-                if keys[key] == 0.0:
-                    hint = "; give the number itself where a fixed value is meant"
-                raise LawError(f"{key} must be positive, found {keys[key]:g}{hint}", key)
+                raise LawError(
+                    f"{key} must be positive, found {keys[key]:g}; give the number itself where a "
+                    "fixed value is meant",
+                    key,
+                )
         mean = keys.get("mean", 1.0)
         if self.positive and not self.optional and mean <= 0.0:
             raise LawError(f"mean of a {self.name} law must be positive, found {mean:g}", "mean")

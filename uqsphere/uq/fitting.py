@@ -11,8 +11,6 @@ E). Other laws are fitted again to samples of their own; a kernel density or a s
 again from the observations drawn with repetition, which says too little in the tails.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -324,7 +322,7 @@ class StrengthFit:
     log_likelihood: float
     p_value: float
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> "DataFrame":
         """Two rows, shape and scale: value, low, high."""
         from pandas import DataFrame
 
@@ -411,13 +409,15 @@ def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) ->
     return dict(zip(keys, (*shapes, scale * size), strict=False))
 
 
-#: parameters of the largest likelihood of observations (n,), and of bounds, of laws without
-#: location and scale
-OTHERS: Mapping[str, Callable[[Array, float, float], Keys]] = {
-    "exponential": lambda data, a, b: {"rate": data.size / data.sum()},
-    "rayleigh": lambda data, a, b: {"scale": np.sqrt(0.5 * np.mean(data**2))},
-    "beta": lambda data, a, b: _scipy_fit("beta", data, ("alpha", "beta"), floc=a, fscale=b - a),
-    "gamma": lambda data, a, b: _scipy_fit("gamma", data, ("shape", "scale"), floc=0.0),
+#: parameters of the largest likelihood of observations (n,), between bounds if these are the law's
+#: own, of laws without location and scale
+OTHERS: Mapping[str, Callable[..., Keys]] = {
+    "exponential": lambda data: {"rate": data.size / data.sum()},
+    "rayleigh": lambda data: {"scale": np.sqrt(0.5 * np.mean(data**2))},
+    "beta": lambda data, lower, upper: _scipy_fit(
+        "beta", data, ("alpha", "beta"), floc=lower, fscale=upper - lower
+    ),
+    "gamma": lambda data: _scipy_fit("gamma", data, ("shape", "scale"), floc=0.0),
 }
 #: what a column of observations can become: a kernel density, a step function, or a member of a
 #: family
@@ -463,9 +463,8 @@ def fitted_law(
     values = np.sort(np.asarray(data, dtype=float))
     if len(censored) or unbiased:
         if how not in STRENGTHS:
-            why = "the bias can be taken out of" if unbiased else "tests that were stopped need"
             allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
-            raise LawError(f"{why} a fit = {allowed}; found {how}", "fit")
+            raise LawError(f"stopped tests and unbiased need fit = {allowed}; found {how}", "fit")
         try:
             make_tests([*values, *censored], [0] * values.size + [1] * len(censored))
         except ValueError as error:
@@ -507,7 +506,7 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     name = law.family.name
     ends = (law.lower, law.upper)
     if name in OTHERS:
-        keys = OTHERS[name](np.array(law.data), *ends)
+        keys = OTHERS[name](np.array(law.data), **law.family.bounds(*ends))
     else:
         kind = LOCATION_SCALE[name]
         tests = series_behind(law)

@@ -241,7 +241,7 @@ def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Ar
     """A discrete law whose whole numbers are all as probable as each other."""
     low, high = map(_number, ends)
     if 1.0 <= high - low < 1e4:
-        values: Array = np.arange(math.ceil(low), math.floor(high) + 1, dtype=float)
+        values = np.arange(math.ceil(low), math.floor(high) + 1, dtype=float)
         shares = np.ravel(share(values))
         if np.ptp(shares) <= 1e-9 * shares.max():
             return discrete_law(values.tolist())

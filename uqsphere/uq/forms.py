@@ -5,8 +5,6 @@ from the other: each keeps its relative accuracy however small it is.  A form is
 `truncated`; a law of SciPy becomes a form by `form_of`, which holds its tails to account.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -83,7 +81,7 @@ def _between(start: Tails, end: Tails) -> Any:
 
 def truncated(form: Form, a: float, b: float) -> Form:
     """The form between a and b."""
-    start, end = zip(*form.tails(np.array([a, b])), strict=True)
+    start, end = np.transpose(form.tails(np.array([a, b])))
     mass = float(_between(start, end))
 
     def tails(y: Array) -> Tails:
@@ -326,7 +324,7 @@ LOGNORMAL, WEIBULL = 0.0, 1.0
 _FEW = 1_000_000
 
 
-def empirical(law: Law) -> Form:
+def empirical(law: "Law") -> Form:
     """A kernel density of the observations with the parameter `bandwidth`; a step function where
     that is 0.
     """
@@ -375,11 +373,11 @@ def _mean_of(
     @quiet
     def own_tails(y: Array) -> Tails:
         each = [form.tails(z(y[..., None])) for form, z in parts]
-        below, above = np.concatenate(each, axis=-1).sum(axis=-1) / count
+        below, above = np.concatenate(each, axis=-1).mean(axis=-1)
         return below, above
 
     @cache
-    def cubics() -> tuple[PchipInterpolator, PchipInterpolator]:
+    def cubics() -> "tuple[PchipInterpolator, PchipInterpolator]":
         """Normal scores over y, as far as they are known and rise, and y over them."""
         from scipy.interpolate import PchipInterpolator
 
@@ -391,7 +389,7 @@ def _mean_of(
         rises = np.diff(np.maximum.accumulate(score), prepend=-math.inf) > 0.0
         return PchipInterpolator(y[rises], score[rises]), PchipInterpolator(score[rises], y[rises])
 
-    def inside(cubic: PchipInterpolator, x: Array) -> Array:
+    def inside(cubic: "PchipInterpolator", x: Array) -> Array:
         return cubic(np.clip(x, cubic.x[0], cubic.x[-1]))
 
     def tails(y: Array) -> Tails:
@@ -427,7 +425,7 @@ def _kernels(data: Array, width: float) -> Form:
     return _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes, moments)
 
 
-def drawn(law: Law) -> Form:
+def drawn(law: "Law") -> Form:
     """The mean of the laws of the draws, of y = ln x."""
     rows = np.array(law.draws)
     _, _, median, sd, bound = rows[rows[:, 0] == LOGNORMAL].T

@@ -220,9 +220,6 @@ def _estimates(
     estimates = []
     method = f"{METHOD}, {name}"
     for index, deviations, weights in zip(value.tolist(), off.T, squares.T, strict=True):
-        if not math.isfinite(index):
-            estimates.append(absent(NO_SCATTER, method, evaluations))
-            continue
         error = 0.0
         if index or deviations.any():
             error = max(spread(deviations), ROUNDING)

@@ -2,8 +2,6 @@
 both packages.
 """
 
-from __future__ import annotations
-
 import logging
 import warnings
 from typing import TYPE_CHECKING, Any
@@ -41,15 +39,10 @@ def load_chaospy() -> Any:
 
 #: laws that chaospy has exactly, for its own three-term recurrences: they take the parameters, then
 #: bounds of their own
-CHAOSPY = {
-    "normal": "Normal",
-    "uniform": "Uniform",
-    "lognormal": "LogNormal",
-    "beta": "Beta",
-}
+CHAOSPY = {"normal": "Normal", "uniform": "Uniform", "lognormal": "LogNormal", "beta": "Beta"}
 
 
-def joint_to_chaospy(inputs: Joint) -> Distribution:
+def joint_to_chaospy(inputs: Joint) -> "Distribution":
     """The joint law as a distribution of chaospy: `J` of independent laws, `Nataf` where a Gaussian
     copula ties them.
 
@@ -74,7 +67,7 @@ def _ends(law: Law) -> list[float]:
     return [float(law.ppf(1e-15)), float(law.isf(1e-15))]
 
 
-def law_to_chaospy(law: Law, centre: float = 0.0, half: float = 1.0) -> Distribution:
+def law_to_chaospy(law: Law, centre: float = 0.0, half: float = 1.0) -> "Distribution":
     """The law of (X - centre)/half, with X of this law, as a distribution of chaospy."""
     chaospy = load_chaospy()
     ends = [(end - centre) / half for end in law.ends]

@@ -10,8 +10,6 @@ correlation rho_S becomes 2 sin(pi rho_S / 6) (Pearson 1907; exact for the Gauss
 number of groups with Student t copulas stand next to it; an input belongs to one of them at most.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from itertools import chain, combinations
@@ -42,7 +40,7 @@ class Copula:
     correlation: Array
     dof: float = math.inf
 
-    def among(self, members: Sequence[int]) -> Copula:
+    def among(self, members: Sequence[int]) -> "Copula":
         """The copula of some of the members, in the order given."""
         return Copula(correlation=self.correlation[np.ix_(members, members)], dof=self.dof)
 
@@ -287,7 +285,7 @@ class Joint:
                 normals[:, column] = copula.conditional_score(scores[:, :k], scores[:, k])
         return normals
 
-    def only(self, names: Names) -> Joint:
+    def only(self, names: Names) -> "Joint":
         """Some of the inputs, with what ties them to each other."""
         at = [self.names.index(name) for name in names]
         blocks = []

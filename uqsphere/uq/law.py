@@ -4,8 +4,6 @@ A truncated law is evaluated from whichever tail is the smaller one, so that a n
 ten standard deviations out keeps all its digits.  Nothing imports scipy.stats.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, replace
@@ -222,7 +220,7 @@ class Law:
 
     # --- other laws that are like it --------------------------------------------------------------
 
-    def with_mean(self, mean: float) -> Law:
+    def with_mean(self, mean: float) -> "Law":
         """The law with another mean (SI), keeping sd or cov, whichever it was made from.
 
         What is cut off keeps its place relative to the mean: spheres of 10 mm sorted between 9.5
@@ -312,9 +310,10 @@ def checked(law: Law) -> Law:
     centre = law.nominal_mean()
     # a truncation that leaves less cannot be told from nothing in floating point
     if math.isfinite(centre) and not law.form.mass > 1e-290:
-        bounds = f"[{law.lower:g}, {law.upper:g}]"
-        key = "lower" if math.isfinite(law.lower) else "upper"
-        raise LawError(f"the truncation {bounds} leaves no mass of the {name} law", key)
+        raise LawError(
+            f"the truncation [{law.lower:g}, {law.upper:g}] leaves no mass of the {name} law",
+            "lower" if math.isfinite(law.lower) else "upper",
+        )
     low, high = law.ppf([0.0, 1.0] if law.is_steps else [0.25, 0.75]).tolist()
     if not np.isfinite([centre, low, high, law.isf(1e-9)]).all():
         raise LawError(f"these parameters of {name} give numbers beyond floating point")

@@ -134,9 +134,7 @@ def failure_of_aim(state: LimitState, aim: str) -> Estimate:
         low = _interval(*least, counts, cell)[1]
         high = _interval(*most, counts, cell)[2]
         error = max(error, 0.5 * (high - low) / student(replicates))
-        causes = {"censored": late, "failed": lost}
-        named = " and ".join(cause for cause, rows in causes.items() if rows.any())
-        method += f", interval widened for {named} rows"
+        method += f", interval widened for {late.sum()} censored and {lost.sum()} failed rows"
     largest = event.max() / (event.sum() or 1.0)
     if largest > 0.2:
         method += f", one sample carries {100.0 * largest:.0f} %"
@@ -240,8 +238,7 @@ def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
     least = _root(pooled, lowest - unsure - lost, margin)
     most = _root(pooled, highest + lost, margin)
     if least is None or most is None:
-        beyond = "the censored share" if unsure else "what the samples can show"
-        return absent(f"beyond {beyond}", method, total)
+        return absent("beyond the censored share, or what the samples can show", method, total)
     return between(margin, least, most, counts.size, method, total)
 
 

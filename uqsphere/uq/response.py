@@ -176,12 +176,7 @@ class Response:
 
 
 def cross_fit(
-    points: Array,
-    outputs: Array,
-    germs: Germs,
-    *,
-    plain: bool = False,
-    independent: bool = True,
+    points: Array, outputs: Array, germs: Germs, *, plain: bool = False, independent: bool = True
 ) -> list[Response]:
     """Responses of every column of outputs (n, q) at the same germ points (n, d).
 

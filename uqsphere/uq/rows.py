@@ -46,12 +46,14 @@ def too_small(values: Array) -> bool:
 
 
 def as_table(rows: Any, names: Names) -> Any:
-    """A labelled array or data set of xarray as a DataFrame by the inputs' names; anything else as
-    it is.
+    """A labelled array or data set of xarray, or a Series of one row, as a DataFrame by the inputs'
+    names; anything else as it is.
 
     Raises UsageError for a labelled array without these labels, masked arrays and complex numbers.
     """
     rows = _of_data_set(rows)
+    if hasattr(rows, "to_frame") and hasattr(rows, "index"):
+        return rows.to_frame().T  # a Series: one row, its index the names
     if not is_labelled(rows) or len(rows.dims) != 2:
         return rows
     for dimension, other in (rows.dims, rows.dims[::-1]):

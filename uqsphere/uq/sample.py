@@ -1,7 +1,5 @@
 """The one table of rows: where the points of a design lie, and the answers there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -39,7 +37,7 @@ class Sample:
     failed: Flags
 
     @classmethod
-    def at(cls, names: Names, scores: Array, inputs: Array) -> Sample:
+    def at(cls, names: Names, scores: Array, inputs: Array) -> "Sample":
         """Points that are not evaluated yet."""
         shape = scores.shape[:2]
         none = np.empty((*shape, 0))
@@ -94,7 +92,7 @@ class Sample:
         odd = self.late(quantity) | ~np.isfinite(self.answer(quantity))
         return not (odd.any() or self.failed.any())
 
-    def with_answers(self, quantities: Names, answers: Array, **flags: Any) -> Sample:
+    def with_answers(self, quantities: Names, answers: Array, **flags: Any) -> "Sample":
         """The same points with answers (R, n, q); `censored`, `status` and `failed` are zero unless
         given.
         """
@@ -102,7 +100,7 @@ class Sample:
         flags = {"censored": np.zeros(answers.shape, dtype=bool)} | flags
         return replace(blank, quantities=tuple(quantities), answers=answers, **flags)
 
-    def with_room(self, count: int) -> Sample:
+    def with_room(self, count: int) -> "Sample":
         """The same rows in arrays of `count` rows of each replicate; those behind have no content
         until `fill`.
         """
@@ -114,14 +112,14 @@ class Sample:
 
         return self._each(longer)
 
-    def fill(self, start: int, part: Sample) -> None:
+    def fill(self, start: int, part: "Sample") -> None:
         """Put the rows of a part in the place of rows of every replicate, from the `start`-th
         on.
         """
         for name in _ROWS:
             getattr(self, name)[:, start : start + part.count] = getattr(part, name)
 
-    def join(self, *others: Sample) -> Sample:
+    def join(self, *others: "Sample") -> "Sample":
         """This sample and the rows that continue every replicate."""
         start = self.count
         joined = self.with_room(sum(part.count for part in (self, *others)))
@@ -130,18 +128,18 @@ class Sample:
             start += part.count
         return joined
 
-    def head(self, count: int) -> Sample:
+    def head(self, count: int) -> "Sample":
         """The first rows of every replicate."""
         return self.where(slice(count))
 
-    def in_blocks(self, count: int) -> Sample:
+    def in_blocks(self, count: int) -> "Sample":
         """The rows of one replicate as those of `count` replicates."""
         return self._each(lambda cells: cells.reshape(count, -1, *cells.shape[2:]))
 
-    def where(self, which: Flags | slice) -> Sample:
+    def where(self, which: Flags | slice) -> "Sample":
         """Some rows of every replicate, by flags (n,) or from one place to another."""
         return self._each(lambda cells: cells[:, which])
 
-    def _each(self, change: Callable[[Cells], Cells]) -> Sample:
+    def _each(self, change: Callable[[Cells], Cells]) -> "Sample":
         changed: dict[str, Any] = {name: change(getattr(self, name)) for name in _ROWS}
         return replace(self, **changed)

@@ -12,8 +12,6 @@ with q the ceil(level (n + 1))-th of the |r_i|/s_i (J. Lei et al., J. Am. Stat. 
 holds for points drawn as the rows were.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import warnings
@@ -71,7 +69,7 @@ class Prediction:
     def __iter__(self) -> Iterator[Array]:
         return iter((self.value, self.low, self.high))
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> "DataFrame":
         """The columns value, low and high, by the index of the rows."""
         from pandas import DataFrame
 
@@ -86,8 +84,6 @@ def columns_of(rows: Any, names: Names) -> Array:
     Raises UsageError for missing, unknown and repeated columns, and for what is no finite number.
     """
     rows = as_table(rows, names)
-    if hasattr(rows, "to_frame") and hasattr(rows, "index"):
-        rows = rows.to_frame().T  # a Series: one row, its index the names
     if hasattr(rows, "columns") or isinstance(rows, Mapping):
         labels = list(map(str, getattr(rows, "columns", rows)))
         wrong = [f"{n!r} is missing" for n in names if n not in labels]
@@ -319,7 +315,7 @@ class Expansion:
         moments = integrals(self.fit)
         return moments.mean, moments.sd
 
-    def sample(self, count: int, *, seed: int = 0) -> DataFrame:
+    def sample(self, count: int, *, seed: int = 0) -> "DataFrame":
         """Rows of the inputs, drawn from their joint distribution, and the expansion's values there
         as `output`.
         """
@@ -330,7 +326,7 @@ class Expansion:
         value = predict(self.fit, self._points(x))
         return DataFrame(x, columns=self.names).assign(output=value)
 
-    def quantiles(self, p: ArrayLike, *, count: int = 1 << 17, seed: int = 0) -> Array:
+    def quantiles(self, p: "ArrayLike", *, count: int = 1 << 17, seed: int = 0) -> Array:
         """Quantiles of the expansion's values at probabilities, of so many draws of the inputs."""
         draws = self.sample(count, seed=seed)["output"].to_numpy()
         return np.asarray(np.quantile(draws, np.asarray(p, dtype=float)), dtype=float)
@@ -340,7 +336,7 @@ class Expansion:
         Path(path).write_text(json.dumps(self, default=_stored), encoding="utf-8")
 
     @classmethod
-    def load(cls, path: str | Path) -> Expansion:
+    def load(cls, path: str | Path) -> "Expansion":
         """The expansion that `save` wrote.  The file holds numbers and names: none of it is run.
 
         Raises UsageError for a file that does not hold an expansion.
@@ -363,7 +359,7 @@ class Expansion:
             shares = indices_of(self.response)
         return {order: dict(zip(self.names, row, strict=True)) for order, row in shares.items()}
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> "DataFrame":
         """The terms: one row each with the degree in every input and the coefficient."""
         return self.fit.to_frame(self.names)
 
@@ -411,8 +407,6 @@ def _stored(part: Any) -> Any:
         return {"class": "Family", "name": part.name}
     if isinstance(part, Germ):  # its table and its recurrence follow from its distribution
         return {"class": "Germ", "law": part.law}
-    if isinstance(part, Mapping):
-        return dict(part)
     name = type(part).__name__
     if name not in PARTS:
         raise UsageError(f"a file cannot keep the functions of {part}: give its parameters")

@@ -140,8 +140,7 @@ def highest_degrees(germs: Sequence[GermLike], points: Array) -> Places:
     highest = []
     for germ, column in zip(germs, points.T, strict=True):
         different = len(np.unique(values_of(germ, column).round(12)))
-        most = recurrence_of(germ, HIGHEST_DEGREE).shape[1]
-        highest.append(min(different, most) - 1)
+        highest.append(min(different, recurrence_of(germ, HIGHEST_DEGREE).shape[1]) - 1)
     return np.array(highest)
 
 
@@ -291,8 +290,8 @@ def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
     rank = dict[tuple[int, ...], float]()
     for row in base:
         for j, k in enumerate(row):
-            above = _with(row, j, k + 1)
-            lower = _below(above)
+            above = _moved(row, j, 1)
+            lower = [_moved(above, i, -1) for i, degree in enumerate(above) if degree]
             if k < highest and above not in base and base.issuperset(lower):
                 rank[above] = max(ranks.get(low, 0.0) for low in lower)
     inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
@@ -300,13 +299,9 @@ def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
     return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=int)
 
 
-def _below(row: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Degrees with one less in one input."""
-    return [_with(row, j, k - 1) for j, k in enumerate(row) if k]
-
-
-def _with(row: tuple[int, ...], j: int, degree: int) -> tuple[int, ...]:
-    return (*row[:j], degree, *row[j + 1 :])
+def _moved(row: tuple[int, ...], j: int, step: int) -> tuple[int, ...]:
+    """Degrees with so many more in one input."""
+    return (*row[:j], row[j] + step, *row[j + 1 :])
 
 
 def skipping(active: Places, highest: int) -> Places:
@@ -339,5 +334,5 @@ def products(tables: Sequence[Array], terms: Places) -> Array:
 
 def rows_of(germs: Germs, points: Array, terms: Places) -> Array:
     """Products (P, n) of polynomials with degrees terms (P, d) at germ points (n, d)."""
-    triples = zip(germs, points.T, terms.max(axis=0).tolist(), strict=True)
-    return products([orthonormal_values(*triple) for triple in triples], terms)
+    tables = map(orthonormal_values, germs, points.T, terms.max(axis=0).tolist())
+    return products([*tables], terms)

@@ -4,9 +4,8 @@ Moments and indices are those of the coefficients.  An expansion of ln y has a p
 squares at points of the law, which is the control variate of the pairs of points that integrate it.
 """
 
-from __future__ import annotations
-
 import math
+from collections import defaultdict
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -94,7 +93,7 @@ class Chaos:
         active = self.multi_indices > 0
         return np.stack([active & (active.sum(axis=1, keepdims=True) == 1), active])
 
-    def to_frame(self, names: Names = ()) -> DataFrame:
+    def to_frame(self, names: Names = ()) -> "DataFrame":
         """The terms: one row each with the degree in every input and the coefficient."""
         from pandas import DataFrame
 
@@ -121,22 +120,17 @@ class Chaos:
         x = Polynomial([0.0, 1.0])
         pairs = zip(self.germs, highest.tolist(), strict=True)
         powers = [orthonormal(germ, top, x) for germ, top in pairs]
-        entries = list[tuple[tuple[int, ...], int, float]]()
+        # by the powers of the inputs: coefficients (P,) in the products
+        table = defaultdict[tuple[int, ...], Array](lambda: np.zeros(len(self.coefficients)))
         for term, degrees in enumerate(self.multi_indices):
             rows = [power[n].coef.tolist() for power, n in zip(powers, degrees, strict=True)]
             for exponent in product(*map(range, degrees + 1)):
-                value = math.prod(row[k] for row, k in zip(rows, exponent, strict=True))
-                if value:
-                    entries.append((exponent, term, value))
-        keys, terms, values = zip(*entries, strict=True)
-        exponents, places = np.unique(np.array(keys), axis=0, return_inverse=True)
-        table = np.zeros((len(exponents), len(self.coefficients)))
-        table[places, np.array(terms)] = values
+                table[exponent][term] = math.prod(
+                    row[k] for row, k in zip(rows, exponent, strict=True)
+                )
         polynomial, expansion = (
-            numpoly.ndpoly.from_attributes(
-                exponents=exponents, coefficients=list(part), names=names, retain_names=True
-            )
-            for part in (table @ self.coefficients, table)
+            numpoly.ndpoly.from_attributes([*table], parts, names, retain_names=True)
+            for parts in ([row @ self.coefficients for row in table.values()], [*table.values()])
         )
         standard = {"normal": chaospy.Normal, "uniform": lambda: chaospy.Uniform(-1.0, 1.0)}
         germs = [
@@ -149,7 +143,7 @@ class Chaos:
         return ChaospyObjects(polynomial, expansion, self.coefficients, joint, self.log)
 
     @cached_property
-    def plain_form(self) -> Chaos:
+    def plain_form(self) -> "Chaos":
         """The expansion of the output itself: of one of ln y by least squares, in the inputs that
         it has.
         """

@@ -11,8 +11,6 @@ is wrong widens the interval.  A tenth of the calls is a plain sample: what it h
 more probable than 3/n, and is in the outer interval only.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -111,7 +109,7 @@ def by_kriging(
 
 
 def _corrected(
-    evaluator: Evaluator, surrogate: Kriging, answer: Any, accuracy: float
+    evaluator: Evaluator, surrogate: "Kriging", answer: Any, accuracy: float
 ) -> Estimate | None:
     """The answer on the surrogate, corrected by fresh calls until it is accurate, or the calls are
     spent; None where there are too few, or nothing fails on the surrogate.
@@ -218,7 +216,7 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
     def process(lengths: Array) -> tuple[Kriging, Array]:
         """The process of these lengths, and its correlations."""
         shared = np.exp(-0.5 * squares @ lengths**-2.0)
-        inverse: Any = np.linalg.inv(np.linalg.cholesky(shared + NUGGET * np.eye(n)))
+        inverse = np.linalg.inv(np.linalg.cholesky(shared + NUGGET * np.eye(n)))
         trend: Any = np.linalg.lstsq(inverse @ basis, inverse @ values, rcond=None)[0]
         residuals = values - basis @ trend
         weights = inverse.T @ (inverse @ residuals)

@@ -9,8 +9,6 @@ Kurtz and Song 2013, doi 10.1016/j.strusafe.2013.01.006); a point is weighted by
 stages together (Cornuet et al. 2012, doi 10.1111/j.1467-9469.2011.00756.x).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -77,7 +75,7 @@ class Mixture(NamedTuple):
         log_density = special.logsumexp(self.log_densities(points), axis=1)
         return np.exp(log_normal_density(points) - log_density)
 
-    def drawn(self, count: int) -> Mixture:
+    def drawn(self, count: int) -> "Mixture":
         """The mixture with the shares really drawn among `count` points: at least one of each
         component.
         """

@@ -8,7 +8,7 @@ limit.
 """
 
 import math
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -45,8 +45,8 @@ class Evaluator:
     integrated: bool = False
     budget: float = 30_000
     seed: int = 0
-    count: int = field(default=0, init=False)
-    failed: int = field(default=0, init=False)
+    #: evaluations so far, and those of them without an answer
+    count = failed = 0
 
     @property
     def size(self) -> int:
