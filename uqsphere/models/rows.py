@@ -37,7 +37,7 @@ class EvaluatedRows:
     values: Array
     censored: Flags
     status: Places
-    note: str = ""
+    note: str
 
     @property
     def good(self) -> Flags:

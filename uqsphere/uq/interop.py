@@ -97,7 +97,7 @@ class SalibDesign:
 
     problem: dict[str, object]
     rows: Array
-    second: bool = False
+    second: bool
     outputs: Array | None = None
 
 
@@ -144,7 +144,7 @@ def to_salib(
 SALIB_METHODS = ("morris", "delta", "pawn", "hdmr")
 
 
-def morris_rows(inputs: Joint, count: int, *, seed: int = 0) -> tuple[Array, Array]:
+def morris_rows(inputs: Joint, count: int, *, seed: int) -> tuple[Array, Array]:
     """Uniform rows (count (d + 1), d) of SALib's trajectories on four levels, and the physical rows
     they stand for.
     """

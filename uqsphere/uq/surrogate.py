@@ -374,9 +374,7 @@ def _leverage(inverse: Any, rows: Array) -> Array:
     return np.asarray(np.einsum("pn,pq,qn->n", rows, inverse, rows))
 
 
-def fit_expansion(
-    x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int = 0
-) -> Expansion:
+def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int) -> Expansion:
     """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which
     rows are dealt.
     """
@@ -415,7 +413,7 @@ def _stored(part: Any) -> Any:
 
 #: parts of an expansion by the name that its file has for them
 PARTS: Mapping[str, Any] = {
-    "array": lambda dtype, values: np.array(values, dtype=np.dtype(dtype)),
+    "array": lambda dtype, values: np.array(values, dtype),
     "Family": family_of,
     "Germ": lambda law: germs_of([law])[0],
     **{part.__name__: part for part in (Chaos, Copula, Expansion, Fold, Joint, Law, Response)},
