@@ -75,7 +75,7 @@ class Cache:
         (n,).
         """
         answers = list[bytes]()
-        stored = np.zeros(len(rows), dtype=bool)
+        stored = np.zeros(len(rows), bool)
         size = 8 * self._outputs
         query = "SELECT answer FROM answers WHERE key = ?"
         with self._access():
@@ -92,7 +92,7 @@ class Cache:
 
     def write(self, rows: Array, answers: Array) -> None:
         """Store answers (n, outputs) to rows (n, inputs)."""
-        values = [row.tobytes() for row in np.asarray(answers, dtype="<f8")]
+        values = [row.tobytes() for row in np.asarray(answers, "<f8")]
         records = [
             (key, answer + self._digest(key, answer))
             for key, answer in zip(self._keys(rows), values, strict=True)

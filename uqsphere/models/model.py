@@ -259,7 +259,7 @@ class Model:
                 reason = f"{reason}, too large"
             note = f"{failures.get(k, reason)} {where_of(self.inputs, whole[k])}"
             values[failed] = np.nan
-        censored = np.zeros(values.shape, dtype=bool)
+        censored = np.zeros(values.shape, bool)
         status = np.where(failed, FAILED, 0)
         return EvaluatedRows(values=values, censored=censored, status=status, note=note)
 

@@ -138,7 +138,7 @@ def evaluate_scene(
     except ValueError as error:
         raise UsageError(str(error)) from error
     good = answered(answers.status)
-    none = np.zeros(len(rows), dtype=bool)
+    none = np.zeros(len(rows), bool)
     values = np.stack([answers.values[name] for name in columns], axis=1)
     failed = np.flatnonzero(~good)[:1]
     return EvaluatedRows(

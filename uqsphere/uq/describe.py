@@ -290,7 +290,7 @@ def describe_controlled(
         mean=mean,
         sd=sd,
         quantiles=answers,
-        censored_share=share(np.zeros(expensive.shape, dtype=bool)),
+        censored_share=share(np.zeros(expensive.shape, bool)),
         scale=scale,
     )
 

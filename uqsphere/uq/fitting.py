@@ -232,11 +232,11 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
             raise ValueError("masked arrays are not accepted. Remove the masked values first")
         if np.asarray(column).dtype.kind == "c":
             raise ValueError("complex numbers are not accepted. Give real numbers")
-    x = np.atleast_1d(np.asarray(values, dtype=float))
+    x = np.array(values, float, ndmin=1)
     if x.ndim != 1 or x.size == 0:
         raise ValueError("there are no tests: at least two failures are needed")
     flags = np.zeros(x.size) if stopped is None else np.asarray(stopped)
-    many = np.ones(x.size) if counts is None else np.asarray(counts, dtype=float)
+    many = np.ones(x.size) if counts is None else np.asarray(counts, float)
     for name, numbers in (("stopped", flags), ("counts", many)):
         if numbers.shape != x.shape:
             raise ValueError(f"values and {name} differ in number: {x.size} and {numbers.size}")
@@ -460,7 +460,7 @@ def fitted_law(
         raise LawError(
             f"unknown fit {how!r}; allowed: {', '.join(FITS)}; a threshold is not fitted", "fit"
         )
-    values = np.sort(np.asarray(data, dtype=float))
+    values = np.sort(np.asarray(data, float))
     if len(censored) or unbiased:
         if how not in STRENGTHS:
             allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
@@ -526,7 +526,7 @@ def law_of_known_modulus(
     which puts the scale on the safe side (W. Q. Meeker, L. A. Escobar, Statistical Methods for
     Reliability Data, 1998, section 8.5).
     """
-    x = np.array([*data, *censored], dtype=float)
+    x = np.array([*data, *censored], float)
     if fit not in (None, "weibull"):
         raise LawError(f'a known modulus is that of fit = "weibull"; found {fit}', "fit")
     if not x.size or not (np.isfinite(x).all() and x.min() > 0.0):

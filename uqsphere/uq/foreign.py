@@ -127,7 +127,7 @@ def as_law(distribution: LawLike) -> Law:
     if origin == "chaospy" and hasattr(distribution, "inv"):
         return _of_chaospy(distribution, kind)
     try:
-        values = np.asarray(distribution, dtype=float)
+        values = np.asarray(distribution, float)
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.ndim == 1 and values.size >= 2:

@@ -121,7 +121,7 @@ class Law:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
         small; any shape.
         """
-        return self.form.tails(self._standard(np.asarray(x, dtype=float)))
+        return self.form.tails(self._standard(np.asarray(x, float)))
 
     def cdf(self, x: npt.ArrayLike) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
@@ -138,12 +138,12 @@ class Law:
 
     def ppf(self, p: npt.ArrayLike) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
-        p = np.asarray(p, dtype=float)
+        p = np.asarray(p, float)
         return self._inverse(p, 1.0 - p)
 
     def isf(self, q: npt.ArrayLike) -> Array:
         """Upper quantile: x with P(X > x) = q, exact for small q; q in [0, 1], any shape."""
-        q = np.asarray(q, dtype=float)
+        q = np.asarray(q, float)
         return self._inverse(1.0 - q, q)
 
     def from_normal(self, z: Array) -> Array:
@@ -281,7 +281,7 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     """
     if weights is None:
         weights = [1] * len(values)
-    numbers = np.asarray(values, dtype=float)
+    numbers = np.asarray(values, float)
     counts = np.asarray(weights)
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise LawError("values of a discrete distribution are finite numbers in a list", "values")

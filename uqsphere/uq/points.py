@@ -126,7 +126,7 @@ def _continued(polynomial: int, *first: int) -> Words:
             if polynomial >> (degree - k) & 1:
                 new ^= numbers[j - k] << k
         numbers.append(new)
-    return np.array(numbers[:BITS], dtype=np.uint64) << np.arange(BITS, dtype=np.uint64)[::-1]
+    return np.array(numbers[:BITS], np.uint64) << np.arange(BITS, dtype=np.uint64)[::-1]
 
 
 @cache

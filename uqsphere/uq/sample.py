@@ -48,8 +48,8 @@ class Sample:
             quantities=(),
             answers=none,
             censored=none.astype(bool),
-            status=np.zeros(shape, dtype=int),
-            failed=np.zeros(shape, dtype=bool),
+            status=np.zeros(shape, int),
+            failed=np.zeros(shape, bool),
         )
 
     @property
@@ -97,7 +97,7 @@ class Sample:
         given.
         """
         blank = Sample.at(self.names, self.scores, self.inputs)
-        flags = {"censored": np.zeros(answers.shape, dtype=bool)} | flags
+        flags = {"censored": np.zeros(answers.shape, bool)} | flags
         return replace(blank, quantities=tuple(quantities), answers=answers, **flags)
 
     def with_room(self, count: int) -> "Sample":

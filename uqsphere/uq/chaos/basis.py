@@ -242,7 +242,7 @@ def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> P
     >>> hyperbolic_indices(2, 2, 1.0, 100).tolist()
     [[0, 0], [0, 1], [1, 0], [0, 2], [1, 1], [2, 0]]
     """
-    rows = np.zeros((1, 0), dtype=int)
+    rows = np.zeros((1, 0), int)
     used = np.zeros(1)
     for _ in range(dimension):
         total = used[:, None] + np.arange(degree + 1.0) ** norm
@@ -262,7 +262,7 @@ def nested(dimension: int, norm: float, highest: int, most: int) -> tuple[Places
     The rows are ordered so that the set of every degree comes first.  The constant alone and no
     degree where the first has too many.
     """
-    sets = [np.zeros((1, dimension), dtype=int)]
+    sets = [np.zeros((1, dimension), int)]
     for degree in range(1, highest + 1):
         indices = hyperbolic_indices(dimension, degree, norm, most)
         if indices is None:
@@ -296,7 +296,7 @@ def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
                 rank[above] = max(ranks.get(low, 0.0) for low in lower)
     inner = sorted(base - set(rows), key=lambda row: (sum(row), row))
     outer = sorted(rank, key=lambda row: (-rank[row], sum(row), row))
-    return np.array((rows + inner + outer)[: max(most, len(rows))], dtype=int)
+    return np.array((rows + inner + outer)[: max(most, len(rows))], int)
 
 
 def _moved(row: tuple[int, ...], j: int, step: int) -> tuple[int, ...]:
@@ -317,7 +317,7 @@ def skipping(active: Places, highest: int) -> Places:
     above = active[places[:, 0]]
     above[np.arange(len(above)), places[:, 1]] += 2
     rows = set(map(tuple, above.tolist())) - set(map(tuple, active.tolist()))
-    return np.array(sorted(rows), dtype=int).reshape(-1, active.shape[1])
+    return np.array(sorted(rows), int).reshape(-1, active.shape[1])
 
 
 def products(tables: Sequence[Array], terms: Places) -> Array:

@@ -151,7 +151,7 @@ class Chaos:
             return self
         inputs = np.flatnonzero(self.multi_indices.any(axis=0))
         degrees, _ = nested(len(inputs), 0.75, 10, PLAIN)
-        terms = np.zeros((len(degrees), len(self.germs)), dtype=int)
+        terms = np.zeros((len(degrees), len(self.germs)), int)
         terms[:, inputs] = degrees
         points = law_points(self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
