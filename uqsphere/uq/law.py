@@ -42,6 +42,7 @@ class Law:
     """
 
     family: Family
+    #: left out of the hash, by which germs of laws are kept: a dict has none
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     lower: float = -math.inf
     upper: float = math.inf

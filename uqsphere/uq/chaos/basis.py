@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, Places, Values, frozen, special
-from uqsphere.uq.families import FAMILIES
-from uqsphere.uq.forms import Function
-from uqsphere.uq.law import Law
+
+from ..families import FAMILIES
+from ..forms import Function
+from ..law import Law
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11
 HIGHEST_DEGREE = 15

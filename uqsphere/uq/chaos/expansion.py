@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Names, Places, frozen, special
-from uqsphere.uq.estimate import ratio_of_means, spread, spreads, student
-from uqsphere.uq.indices import Blocks, base_points, jansen_total, saltelli_first
-from uqsphere.uq.points import sobol_points
 
+from ..estimate import ratio_of_means, spread, spreads, student
+from ..indices import Blocks, base_points, jansen_total, saltelli_first
+from ..points import sobol_points
 from .basis import Germ, Germs, germ_points, highest_degrees, nested, orthonormal, rows_of, steps_of
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class Chaos:
         Terms are multiplied out over the inputs that they have, so that the cost grows with terms
         and not with inputs.
         """
-        from uqsphere.uq.interop import law_to_chaospy, load_chaospy
+        from ..interop import law_to_chaospy, load_chaospy
 
         chaospy = load_chaospy()
         import numpoly

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import (
+
+from ..estimate import (
     ENDS,
     REPLICATES,
     Estimate,
@@ -25,8 +26,7 @@ from uqsphere.uq.estimate import (
     probability_ends,
     spread,
 )
-from uqsphere.uq.limit_state import complement
-
+from ..limit_state import complement
 from .form import DesignPoint, find_design_points
 from .kriging import by_kriging
 from .mixture import (

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.estimate import LEVEL, Estimate, absent, bounded, count_bound, student
-from uqsphere.uq.points import random_generator
 
+from ..estimate import LEVEL, Estimate, absent, bounded, count_bound, student
+from ..points import random_generator
 from .mixture import draw, standard_normal, wide_mixture
 from .problem import MOST_DIMENSIONS, Evaluator
 

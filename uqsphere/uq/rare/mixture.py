@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Cells, special
-from uqsphere.uq.describe import hill
-from uqsphere.uq.estimate import (
+
+from ..describe import hill
+from ..estimate import (
     REPLICATES,
     Estimate,
     absent,
@@ -29,7 +30,6 @@ from uqsphere.uq.estimate import (
     spread,
     student,
 )
-
 from .form import DesignPoint
 from .problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 

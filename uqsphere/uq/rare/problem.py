@@ -13,8 +13,9 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.uq.forms import Function
-from uqsphere.uq.points import sobol_points
+
+from ..forms import Function
+from ..points import sobol_points
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability
 #: lies there

@@ -12,17 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array
-from uqsphere.uq.estimate import (
-    CELL,
-    Estimate,
-    absent,
-    bounded,
-    count_bound,
-    probability_ends,
-    spread,
-)
-from uqsphere.uq.points import random_generator
 
+from ..estimate import CELL, Estimate, absent, bounded, count_bound, probability_ends, spread
+from ..points import random_generator
 from .problem import Evaluator, Spent
 
 #: share of a level that seeds the next (Au and Beck), the rate of acceptance that steps aim at
