@@ -81,7 +81,7 @@ class LocationScale:
         power = (failures + stopped) * np.exp(np.minimum(z, 700.0))
         return failures * z - power, failures - power, -power
 
-    def maximum(self, u: Array, failures: Array, stopped: Any = 0.0) -> tuple[Array, Array]:
+    def maximum(self, u: Array, failures: Array, stopped: Any) -> tuple[Array, Array]:
         """Location and scale (rows,) of the largest likelihood of u (rows, n).
 
         `failures`, `stopped` (n,): how many tests failed, or were stopped, at each value.  sum over
