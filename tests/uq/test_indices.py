@@ -73,7 +73,7 @@ def test_second_order_indices_are_the_interactions(name: str) -> None:
 def test_salibs_estimators_on_our_rows_and_in_our_order(second: bool) -> None:
     from SALib.analyze import sobol
 
-    joint = make_joint(tuple("abc"), (make_law("uniform", {}, -math.pi, math.pi),) * 3, ())
+    joint = make_joint(dict.fromkeys("abc", make_law("uniform", {}, -math.pi, math.pi)), ())
     made = to_salib(joint, 4096, second=second, seed=5)
     a, b, c = made.rows.T
     y = np.sin(a) + 7.0 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a)
@@ -159,7 +159,7 @@ def test_indices_of_constant_outputs_are_absent() -> None:
 
 @pytest.mark.parametrize("method", ["morris", "delta", "pawn", "hdmr"])
 def test_salibs_measures_order_the_inputs(method: str) -> None:
-    joint = make_joint(tuple("abc"), (NORMAL,) * 3, ())
+    joint = make_joint(dict.fromkeys("abc", NORMAL), ())
     uniforms = np.random.default_rng(3).random((1024, 3))
     x = ndtri(uniforms)
     if method == "morris":
@@ -183,7 +183,7 @@ def test_shapley_effects_of_a_linear_model_with_tied_inputs() -> None:
     """Owen and Prieur (2017): (a² + rho a b)/V and (b² + rho a b)/V up to rho² terms, here by their
     closed form.
     """
-    joint = make_joint(tuple("abc"), (NORMAL,) * 3, [Dependence(of=("a", "b"), kendall=0.4)])
+    joint = make_joint(dict.fromkeys("abc", NORMAL), [Dependence(of=("a", "b"), kendall=0.4)])
     rho = math.sin(0.2 * math.pi)
     z = joint.scores(ndtri(np.random.default_rng(1).random((200, 3))))
     response = cross_fit(
@@ -206,7 +206,7 @@ def test_the_change_of_a_probability_per_standard_deviation() -> None:
     """P(z1 + z2 > 2) of independent normals: each centre moved by dm changes it by phi(2/√2)/√2
     dm.
     """
-    joint = make_joint(("a", "b"), (NORMAL,) * 2, ())
+    joint = make_joint(dict.fromkeys("ab", NORMAL), ())
     z = ndtri(np.stack([np.random.default_rng(r).random((4096, 2)) for r in range(16)]))
     gradients = joint.score_gradients(z.reshape(-1, 2)).reshape(z.shape)
     truth = math.exp(-1.0) / math.sqrt(2.0 * math.pi) / math.sqrt(2.0)

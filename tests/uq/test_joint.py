@@ -147,7 +147,7 @@ def five() -> Joint:
         Dependence(of=("a", "c"), spearman=0.6),
         Dependence(of=("b", "e"), kendall=0.5, copula="student_t", dof=4.0),
     ]
-    return make_joint(tuple("abcde"), (NORMAL,) * 5, ties)
+    return make_joint(dict.fromkeys("abcde", NORMAL), ties)
 
 
 def test_a_joint_ties_some_and_leaves_others() -> None:
@@ -216,4 +216,4 @@ def test_the_tie_of_what_is_not_drawn() -> None:
 )
 def test_what_cannot_hold_together_is_refused(ties: list[Dependence], text: str) -> None:
     with pytest.raises(LawError, match=text):
-        make_joint(tuple("abc"), (NORMAL,) * 3, ties)
+        make_joint(dict.fromkeys("abc", NORMAL), ties)

@@ -533,7 +533,7 @@ def _dependence(draft: Draft) -> None:
                 raise Fault(message, f"dependence[{index}].of[{at}]")
         ties.append(Dependence(**dict(table)))
         try:
-            make_joint(list(random), list(random.values()), ties)
+            make_joint(random, ties)
         except LawError as error:
             key = error.key
             if key == "spearman" and table.spearman is None:

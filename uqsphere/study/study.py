@@ -249,8 +249,7 @@ class Study:
         """The random variables of `laws` with their dependence, as the uncertainty side reads
         them.
         """
-        laws = self.laws()
-        return make_joint(tuple(laws), tuple(laws.values()), self.dependence)
+        return make_joint(self.laws(), self.dependence)
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean;

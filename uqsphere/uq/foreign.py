@@ -268,8 +268,8 @@ def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependenc
             f"found {type(laws).__name__}, allowed: a mapping of name to law, a problem of SALib, "
             f"or a Joint; {EACH}"
         )
-    laws = of_salib(laws)
-    return make_joint(tuple(laws), tuple(as_law(law) for law in laws.values()), dependence)
+    inputs = {name: as_law(law) for name, law in of_salib(laws).items()}
+    return make_joint(inputs, dependence)
 
 
 def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:

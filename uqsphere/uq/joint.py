@@ -11,7 +11,7 @@ number of groups with Student t copulas stand next to it; an input belongs to on
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, combinations
 
 import numpy as np
@@ -334,16 +334,17 @@ class Joint:
         return FREE
 
 
-def make_joint(names: Names, laws: Sequence[Law], dependences: Sequence[Dependence]) -> Joint:
-    """Inputs with the dependences of a study.
+def make_joint(laws: Mapping[str, Law], dependences: Sequence[Dependence]) -> Joint:
+    """Inputs by name, with the dependences of a study.
 
     Raises LawError (keys "of", "spearman", "kendall", "dof", "copula") where they cannot hold.
 
     >>> from uqsphere.uq.law import make_law
     >>> law = make_law("normal", {"mean": 0.0, "sd": 1.0})
-    >>> make_joint(("a", "b", "c"), (law,) * 3, [Dependence(of=("a", "c"), spearman=0.5)])
+    >>> make_joint({"a": law, "b": law, "c": law}, [Dependence(of=("a", "c"), spearman=0.5)])
     <Joint of a, b, c, dependent>
     """
+    names = tuple(laws)
     pairs = set[tuple[int, ...]]()
     blocks = list[Block]()
     correlation = np.eye(len(names))
@@ -382,4 +383,4 @@ def make_joint(names: Names, laws: Sequence[Law], dependences: Sequence[Dependen
                 "spearman",
             )
         blocks.insert(0, (tuple(tied), gaussian))
-    return Joint(names=tuple(names), laws=tuple(laws), blocks=tuple(blocks))
+    return Joint(names=names, laws=tuple(laws.values()), blocks=tuple(blocks))
