@@ -99,7 +99,6 @@ def describe(
     samples: Array,
     *,
     censored: Flags | bool = False,
-    failed: Flags | bool = False,
     on_failure: str = "drop",
     quantiles: Sequence[float] = (0.01, 0.05, 0.5, 0.95, 0.99),
     method: str = "randomised quasi-Monte Carlo",
@@ -107,12 +106,12 @@ def describe(
     """Mean, standard deviation, quantiles and censored share of samples (R, n).
 
     Censored samples are known only to exceed their own value: quantiles that they could move beyond
-    the record are absent, mean and standard deviation are restricted to the record.  Failed rows
-    (`failed`, and every sample that is not finite) leave mean and standard deviation; a quantile
-    either leaves them out (`on_failure` "drop") or has its interval widened to either side of them
+    the record are absent, mean and standard deviation are restricted to the record.  Samples that
+    are not finite, those of failed rows, leave mean and standard deviation; a quantile either
+    leaves them out (`on_failure` "drop") or has its interval widened to either side of them
     ("bound").
     """
-    broken = ~np.isfinite(samples) | failed
+    broken = ~np.isfinite(samples)
     kept = ~broken
     late = censored & kept
     total = samples.size

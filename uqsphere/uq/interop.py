@@ -136,8 +136,8 @@ def to_salib(
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
     halves = base_points(blocks, count=count, seed=seed, task="sensitivity", replicate=0)
-    mixed = blocks.mix(*(inputs.physical(special.ndtri(half)) for half in halves))
-    return SalibDesign(problem=problem, rows=mixed.reshape(-1, blocks.inputs_count), second=second)
+    rows = inputs.physical(special.ndtri(blocks.mix(*halves)))
+    return SalibDesign(problem=problem, rows=rows.reshape(-1, blocks.inputs_count), second=second)
 
 
 #: methods of SALib that a study may name
