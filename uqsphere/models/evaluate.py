@@ -127,5 +127,4 @@ def evaluate(
                 text = f"outside the validity range of the model: {check.text}"
                 warnings.warn(text, stacklevel=2)
     table = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
-    table["censored"] = np.asarray(answers.censored.any(axis=1))
-    return table
+    return table.assign(censored=np.asarray(answers.censored.any(axis=1)))

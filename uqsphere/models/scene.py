@@ -59,7 +59,7 @@ def paper_lines(study: Study) -> tuple[PaperLine, ...]:
     """
     if not study.model.compare_with_paper:
         return ()
-    return tuple(paper_line(value) for value in compare_with_paper(scene_of(study, {})))
+    return tuple(map(paper_line, compare_with_paper(scene_of(study, {}))))
 
 
 def scene_at(study: Study, names: Names, rows: Array) -> Scene:

@@ -98,9 +98,8 @@ class Chaos:
         from pandas import DataFrame
 
         named = list(names) or [f"q{k}" for k in range(len(self.germs))]
-        frame = DataFrame(self.multi_indices, columns=named)
-        frame["coefficient"] = self.coefficients
-        return frame
+        terms = DataFrame(self.multi_indices, columns=named)
+        return terms.assign(coefficient=self.coefficients)
 
     def chaospy(self) -> ChaospyObjects:
         """The expansion as chaospy's polynomial, basis, coefficients and joint distribution of the
