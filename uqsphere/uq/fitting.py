@@ -464,7 +464,7 @@ def fitted_law(
     if len(censored) or unbiased:
         if how not in STRENGTHS:
             allowed = " or ".join(f'"{name}"' for name in STRENGTHS)
-            raise LawError(f"stopped tests and unbiased need fit = {allowed}; found {how}", "fit")
+            raise LawError(f"stopped tests and unbiased need a fit = {allowed}; found {how}", "fit")
         try:
             make_tests([*values, *censored], [0] * values.size + [1] * len(censored))
         except ValueError as error:
