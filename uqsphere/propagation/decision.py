@@ -110,7 +110,7 @@ class Settled(Curves):
         no number, left out; else by the other doubts.
         """
         governing = self.governing
-        alone = self.aim.limits == (governing.limit,)
+        alone = [*self.aim.limits] == [governing.limit]
         if governing.code == "assumed strength" or (self.number is None and not alone):
             return Settled(aim=self.aim.without(governing.limit.name), line=self.line).number
         gone = governing.key[:2]

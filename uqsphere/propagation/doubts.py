@@ -54,9 +54,9 @@ class Aim:
 
     design: Design
     word: types.Aim
-    limits: tuple[Limit, ...]
-    untargeted: tuple[Limit, ...] = ()
-    modes: tuple[AssumedMode, ...] = ()
+    limits: Sequence[Limit]
+    untargeted: Sequence[Limit] = ()
+    modes: Sequence[AssumedMode] = ()
     others: Sequence[Alternative] = ()
     yielding: YieldingRows | None = None
 
@@ -81,9 +81,9 @@ class Aim:
         """The aim without a limit or a failure mode."""
         return replace(
             self,
-            limits=tuple(limit for limit in self.limits if limit.name != name),
-            untargeted=tuple(limit for limit in self.untargeted if limit.name != name),
-            modes=tuple(mode for mode in self.modes if mode.limit.name != name),
+            limits=[limit for limit in self.limits if limit.name != name],
+            untargeted=[limit for limit in self.untargeted if limit.name != name],
+            modes=[mode for mode in self.modes if mode.limit.name != name],
         )
 
 
@@ -356,8 +356,8 @@ class Curves:
         limits = {judged.name: judged for judged in self.yielding.design.judged.limits}
         aim = replace(
             self.aim,
-            limits=tuple(limits[asked.name] for asked in self.aim.limits),
-            untargeted=tuple(limits[asked.name] for asked in self.aim.untargeted),
+            limits=[limits[asked.name] for asked in self.aim.limits],
+            untargeted=[limits[asked.name] for asked in self.aim.untargeted],
         )
         curves = Curves(aim=aim, line=self.yielding)
         before = self.few.base(limit), self.base(limit)

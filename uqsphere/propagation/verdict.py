@@ -155,7 +155,7 @@ def aim_of(design: Design, word: types.Aim, yielding: YieldingRows | None = None
     where none has one, so that all limits of an aim have one, or none.
     """
     every = [limit for limit in design.limits if limit.aim == word]
-    limits = tuple(limit for limit in every if limit.has_target) or tuple(every)
+    limits = [limit for limit in every if limit.has_target] or every
     untargeted = [limit for limit in every if limit not in limits and means_fracture(limit)]
     modes = [mode for mode in design.modes if mode.counts]
     if word == "break" or not any(map(means_fracture, limits)):
@@ -164,8 +164,8 @@ def aim_of(design: Design, word: types.Aim, yielding: YieldingRows | None = None
         design=design,
         word=word,
         limits=limits,
-        untargeted=tuple(untargeted),
-        modes=tuple(modes),
+        untargeted=untargeted,
+        modes=modes,
         others=[*alternatives(design, limits)],
         yielding=yielding,
     )
