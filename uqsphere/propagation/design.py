@@ -249,7 +249,7 @@ def strength_of(limit: Limit) -> Law | float:
 
 def number_of_tests(strength: Law | float) -> int | None:
     """Number of tests behind a strength, None for one that was not fitted to tests."""
-    if isinstance(strength, Law) and is_fitted(strength):
+    if is_fitted(strength):
         return count_tests(strength)
     return None
 

@@ -130,7 +130,7 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
     if limit.tested is not None and limit.tested.forces:
         return limit.tested.forces
     law = strength_of(limit)
-    if isinstance(law, Law) and is_fitted(law):
+    if is_fitted(law):
         return law.data
     return ()
 

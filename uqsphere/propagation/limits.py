@@ -127,8 +127,7 @@ def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
         on_failure=design.on_failure,
     )
     name = strength_name(limit.name)
-    tied = design.study.dependence and name in design.joint.names
-    if not tied or not isinstance(strength, Law):
+    if not design.study.dependence or name not in design.joint.names:
         return state
     scores = design.drawn.scores(sample.scores)
     return replace(state, tie=design.joint.tie(name, design.drawn.names, scores))

@@ -72,7 +72,7 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     limits = []
     for limit in settled.aim.limits:
         law = strength_of(limit)
-        if isinstance(law, Law) and is_fitted(law) and law.family.name in STRENGTHS and law.data:
+        if is_fitted(law) and law.family.name in STRENGTHS and law.data:
             limits.append(limit)
     if not limits or settled.use is None:
         return []

@@ -15,7 +15,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 from numpy.random import Generator
@@ -537,7 +537,7 @@ def law_of_known_modulus(
     return law_of_draws([(WEIBULL, 0.0, scale, modulus, 0.0) for scale in scales.tolist()], x.size)
 
 
-def is_fitted(law: object) -> bool:
+def is_fitted(law: object) -> TypeGuard[Law]:
     """Whether a strength or an input is a law that was made from observations."""
     return isinstance(law, Law) and law.family.name != "discrete" and bool(law.data or law.draws)
 
