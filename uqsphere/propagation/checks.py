@@ -108,7 +108,7 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
     weights = {}
     for limit in limits:
         state = line.state(current[limit.name])
-        weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit.aim)).ravel()
+        weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit)).ravel()
     for result in checked_rows(design.judged, *input_rows(line.rows), design.columns):
         beyond = result.grades >= 3
         if result.check in yields:

@@ -7,7 +7,6 @@ and their spread is the interval.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,14 +16,14 @@ from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, Study
-from uqsphere.uq import Estimate, Sample
+from uqsphere.uq import Estimate, Sample, tails
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 from uqsphere.uq.estimate import REPLICATES
 
 from .design import VALUES, Design
 from .free_number import demand_factor, grid
-from .limits import failure_given_inputs, state_of
+from .limits import state_of
 from .line import evaluated_at
 from .tables import Tables
 
@@ -93,8 +92,7 @@ def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> Array:
     means = []
     for value, sample in line.items():
         state = state_of(design, limit, sample)
-        demands = state.demands * demand_factor(design.study.margins, limit, value)
-        exceeded = failure_given_inputs(replace(state, demands=demands), "survive")
+        exceeded, _ = tails(state, demand_factor(design.study.margins, limit, value))
         means.append(exceeded.mean(axis=1))
     return np.array(means)
 

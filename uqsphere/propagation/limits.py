@@ -81,7 +81,7 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     return tables.source.probability(
         column,
         sampled,
-        lambda sample: failure_given_inputs(state_of(design, limit, sample), limit.aim),
+        lambda sample: failure_given_inputs(state_of(design, limit, sample), limit),
     )
 
 
@@ -105,10 +105,10 @@ def _searched(searched: Estimate, sampled: Estimate, rows: int) -> Estimate:
     return replace(searched, high_unseen=unseen)
 
 
-def failure_given_inputs(state: LimitState, aim: str) -> np.ndarray:
-    """Probability (R, n) that the aim is missed given the inputs."""
+def failure_given_inputs(state: LimitState, limit: Limit) -> np.ndarray:
+    """Probability (R, n) that a limit misses its aim given the inputs."""
     below, above = tails(state)
-    return above if aim == "break" else below
+    return above if limit.aim == "break" else below
 
 
 def sign_of(limit: Limit) -> float:
@@ -158,11 +158,11 @@ def drivers(tables: Tables) -> Rows:
         # a strength that depends on an input stays where it was while the input moves
         for step, column in zip(STEP * np.eye(len(tie.columns)), tie.columns, strict=True):
             below, above = (
-                failure_given_inputs(replace(state, tie=replace(tie, scores=at)), limit.aim)
+                failure_given_inputs(replace(state, tie=replace(tie, scores=at)), limit)
                 for at in (tie.scores - step, tie.scores + step)
             )
             moved[:, :, column] = (below - above) / (2.0 * STEP)
-        changes = change_per_sd(failure_given_inputs(state, limit.aim), gradients, moved)
+        changes = change_per_sd(failure_given_inputs(state, limit), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
                 yield estimate_row(subject, "driver", name, estimate, runs=tables.runs)
