@@ -86,8 +86,8 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
             effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
         )
-        margins = design.study.margins
-        if margins is not None and margins.limit is None and not tables.line:
+        margins = design.study.moving
+        if margins is not None and not tables.line:
             yield Check(
                 name="no_margin",
                 share=1.0,

@@ -141,8 +141,8 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
 
     Raises UsageError for a study without such margins, or a black box; TooManyFailures.
     """
-    margins = study.margins
-    if study.black_box or margins is None or margins.limit is not None:
+    margins = study.moving
+    if study.black_box or margins is None:
         raise UsageError("fragility curves need an impact scene whose [margins] vary one number")
     design = Design.of(study)
     counts = dict.fromkeys(grid(margins, values), max(round(rows / REPLICATES), 2))

@@ -51,9 +51,9 @@ def moved(study: Study, value: float) -> Study:
 
     Raises LawError where a random number has no law with this mean.
     """
-    if study.margins is None or study.margins.limit is not None:
+    if study.moving is None:
         return study
-    path = study.margins.solve
+    path = study.moving.solve
     if path not in study.random:
         return replace(study, fixed={**study.fixed, path: value})
     law = study.random[path].with_mean(value)

@@ -155,7 +155,7 @@ def first_count(study: Study) -> int:
 
 def first_rows(study: Study, count: int = FIRST) -> int:
     """Model runs of the first size of the loop, with `count` points in each replicate."""
-    if study.margins is not None and study.margins.limit is None:
+    if study.moving is not None:
         count += VALUES * max(count // LINE_SHARE, 2)
     return REPLICATES * count
 
@@ -175,8 +175,8 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
     Where a margin is too inaccurate the values draw closer together about it, and have twice the
     points there: the four about it, and those half-way between them.
     """
-    margins = design.study.margins
-    if margins is None or margins.limit is not None:
+    margins = design.study.moving
+    if margins is None:
         return {}
     if before is None:
         return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))

@@ -189,8 +189,7 @@ def evaluated_at(
 
 def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:
     """A line with at least so many points of a replicate at some values."""
-    margins = line.design.study.margins
-    if margins is None or margins.limit is None:
+    if line.design.study.moving is not None:
         return replace(line, samples=evaluated_at(line.design, model, line.samples, counts))
     rows = next(iter(line.samples.values()))
     samples = {**line.samples, **dict.fromkeys(counts, rows)}

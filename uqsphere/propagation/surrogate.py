@@ -147,7 +147,6 @@ def tables_of(
         that is too small.
     """
     analysis = design.study.analysis
-    free = design.study.margins
     end = time.monotonic() + seconds
     affordable = analysis.budget.evaluations
     cost = analysis.cost or model.seconds_per_row
@@ -156,7 +155,7 @@ def tables_of(
         if cost * LEAST_ROWS <= ALWAYS:
             in_time = max(in_time, LEAST_ROWS)
         affordable = int(min(affordable, in_time))
-    along = points is None and free is not None and free.limit is None
+    along = points is None and design.study.moving is not None
     if points is None:
         count = affordable
         if along:

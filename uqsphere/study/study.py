@@ -187,6 +187,15 @@ class Study:
         """What loads the sphere: `bars`, `impact`, ..."""
         return str(self.options.get("rig.kind", DEFAULT_RIG))
 
+    @property
+    def moving(self) -> Margins | None:
+        """The margins whose free number moves the rows of the model; None without, and where it is
+        a strength.
+        """
+        if self.margins is None or self.margins.limit is not None:
+            return None
+        return self.margins
+
     def __repr__(self) -> str:
         noun = "input" if len(self.random) == 1 else "inputs"
         parts = [f"{len(self.random)} random {noun}"]
