@@ -148,7 +148,7 @@ def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternativ
         strengths = other_distributions(law)
         if is_fitted(law):
             code = "tests"
-            strengths = strengths_allowed(design, limit)
+            strengths = strengths_allowed(design, limit, law)
         for name, laws in strengths.items():
             yield Alternative(code=code, limit=limit, detail=name, laws=laws)
         tied = strength_name(limit.name)
@@ -156,14 +156,12 @@ def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternativ
             yield Alternative(code="tie", limit=limit)
 
 
-def strengths_allowed(design: Design, limit: Limit) -> dict[str, list[Law]]:
+def strengths_allowed(design: Design, limit: Limit, law: Law) -> dict[str, list[Law]]:
     """By distribution, strengths that the tests behind a limit allow: its own distribution, and the
     other usual one where the tests do not refute it.
 
     One stream of random numbers for one set of tests: limits on the same tests share their draws.
     """
-    law = strength_of(limit)
-    assert isinstance(law, Law)
     laws = {law.family.name: law}
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
         series = series_behind(law)
