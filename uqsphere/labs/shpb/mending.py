@@ -39,8 +39,9 @@ _INCIDENT = 0.2
 class Wave(NamedTuple):
     """The first wave of a signal, by samples.
 
-    half, falling : first and last sample above half its top; foot, end : first and last sample.
-    rising : samples from a tenth to half of the top.
+    half, falling : first and last sample above half its top, or another share by which it is
+        sought; foot, end : first and last sample.
+    rising : samples from a fifth of that share to it.
     peak : top of the smoothed signal, above 0; sign : +1 for tension.
     ended : whether the signal returns to rest.
     """
@@ -125,15 +126,15 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     behind = document.receiving_bar
     start, traces = read_traces(document, folder, changes)
     traces = [_without_faults(trace) for trace in traces]
-    stays = [
-        _first_stay(trace, trace.strain - _rest_of(trace.strain), _INCIDENT)
+    pulses = [
+        _first_wave(trace, trace.strain - _rest_of(trace.strain), share=_INCIDENT)
         for trace in traces
         if trace.role == "incident"
     ]
     length = len(traces[0].strain)
     step = traces[0].step
     passage = (bar.length or math.inf) / bar.wave_speed
-    passes = min(stay.last - stay.first + 1 for stay in stays) * step / passage
+    passes = min(pulse.falling - pulse.half + 1 for pulse in pulses) * step / passage
     if passes > _PASSES:
         raise UsageError(
             f"the pulse lasts {passes:.0f} passes of the incident bar. Is the time in another unit "
@@ -142,7 +143,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     # the first wave of a signal begins before the first echo of a far end
     limits = dict.fromkeys(("incident", "reflected", "receiving"), length)
     if not asked.aligned:
-        first = min(stay.first for stay in stays)
+        first = min(pulse.half for pulse in pulses)
         delay = bar.passage + behind.passage + behind.echo
         limits["incident"] = int(min(length, first + 2.0 * passage / step))
         limits["receiving"] = int(min(length, first + delay / step))
@@ -154,7 +155,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         turned = []
         names = []
         if role == "receiving":
-            end = max(min(stay.first - 2 * stay.rising for stay in stays), 0)
+            end = max(min(pulse.half - 2 * pulse.rising for pulse in pulses), 0)
         for trace in gauges:
             if asked.aligned:
                 signal = _cut_out(trace)
@@ -200,20 +201,9 @@ def smooth(values: Array, samples: int) -> Array:
     return uniform_filter1d(values, samples, mode="constant")
 
 
-class _Stay(NamedTuple):
-    """The first stay of a signal above a share of its largest value, by samples.
-
-    peak : its smoothed top, above 0; sign : +1 for tension.
-    """
-
-    first: int
-    last: int
-    rising: int
-    peak: float
-    sign: float
-
-
-def _first_stay(gauge: Trace | Signal, values: Array, share: float, noise: float = 0.0) -> _Stay:
+def _first_wave(
+    gauge: Trace | Signal, values: Array, noise: float = 0.0, share: float = 0.5
+) -> Wave:
     """The first long stay of a signal (n,) about zero above a share of its largest value.
 
     Trigger bursts swing within a few microseconds: running medians remove them.
@@ -233,20 +223,19 @@ def _first_stay(gauge: Trace | Signal, values: Array, share: float, noise: float
     sign = math.copysign(1.0, smoothed[first])
     upward = sign * smoothed
     peak = upward[first : last + 1].max()
-    foot = np.flatnonzero(upward[:first] < 0.2 * share * peak).max(initial=0)
-    return _Stay(first, last, first - foot, peak, sign)
-
-
-def _first_wave(gauge: Trace | Signal, values: Array, noise: float) -> Wave:
-    """The first wave of a signal (n,) about zero; UsageError as `_first_stay`."""
-    stay = _first_stay(gauge, values, 0.5, noise)
-    width = max(round(2.0 * _SHORTEST / gauge.step), stay.rising // 5 + 1)
-    upward = stay.sign * smooth(values, width)
-    level = max(0.01 * stay.peak, 4.0 * noise / math.sqrt(width))
-    before = np.flatnonzero(upward[: stay.first] < level)
-    behind = stay.last + np.flatnonzero(upward[stay.last :] < max(0.02 * stay.peak, level))
+    rising = first - np.flatnonzero(upward[:first] < 0.2 * share * peak).max(initial=0)
+    # from foot to end, by running means that are short beside its rise
+    width = max(round(2.0 * _SHORTEST / gauge.step), rising // 5 + 1)
+    upward = sign * smooth(values, width)
+    level = max(0.01 * peak, 4.0 * noise / math.sqrt(width))
+    before = np.flatnonzero(upward[:first] < level)
+    behind = last + np.flatnonzero(upward[last:] < max(0.02 * peak, level))
     return Wave(
-        *stay,
+        half=first,
+        falling=last,
+        rising=rising,
+        peak=peak,
+        sign=sign,
         foot=before.max(initial=-1) + 1,
         end=behind.min(initial=len(values) - 1),
         ended=len(behind) > 0,
@@ -373,7 +362,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
     """
     values = trace.strain
     places = np.arange(len(values), dtype=float)
-    wave = _first_wave(trace, (values - _rest_of(values))[:limit], 0.0)
+    wave = _first_wave(trace, (values - _rest_of(values))[:limit])
     early = max(wave.half - 3 * wave.rising, end)
     if early >= 3 * _BASELINE:  # the wave above the scatter of the rest about a line through it
         third = early // 3
@@ -402,7 +391,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
                 f"{trace.name}: the record begins inside the wave; its beginning is missing"
             )
         note(trace, "baseline", "taken from the end of the record")
-        wave = _first_wave(trace, values - mean, 0.0)
+        wave = _first_wave(trace, values - mean)
     quiet = values[rest]
     place = places[rest]
     away = np.abs(quiet - np.median(quiet))
