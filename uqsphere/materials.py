@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
+from itertools import chain
 
 from uqsphere.arrays import frozen
 from uqsphere.files import Json, packaged
@@ -77,6 +78,11 @@ def library() -> dict[str, dict[str, Material]]:
     for kind in MATERIAL_KINDS:
         materials[kind] = {name: _material(name, table) for name, table in tables[kind].items()}
     return materials
+
+
+def materials_of(*kinds: str) -> dict[str, Material]:
+    """The materials of some kinds by name; one that several of them have is that of the last."""
+    return dict(chain(*(library()[kind].items() for kind in kinds)))
 
 
 def _material(name: str, table: Mapping[str, Json]) -> Material:

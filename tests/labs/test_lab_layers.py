@@ -26,6 +26,7 @@ ALLOWED = {
     "uqsphere.mechanics.yielding",
     "uqsphere.quantities",
     "uqsphere.report.figures",
+    "uqsphere.report.tables",
     "uqsphere.results.folder",
     "uqsphere.study",
     "uqsphere.tables",

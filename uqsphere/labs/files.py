@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import TomlTable
-from uqsphere.materials import Material, library
+from uqsphere.materials import materials_of
 from uqsphere.units import parse_value
 
 
@@ -39,9 +39,7 @@ def from_library(raw: Any, *kinds: str) -> Any:
     """A table completed by E, nu and density of its `material`."""
     if not isinstance(raw, dict) or raw.get("material") is None:
         return raw
-    materials: dict[str, Material] = {}
-    for kind in kinds:
-        materials |= library()[kind]
+    materials = materials_of(*kinds)
     if raw["material"] not in materials:
         raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
     properties = materials[raw["material"]].properties
@@ -50,14 +48,10 @@ def from_library(raw: Any, *kinds: str) -> Any:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Aligned columns; the last one is not padded."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for row in rows:
-        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
-        line = "  ".join(cells).rstrip()
-        lines.append("".join(mark if mark.isprintable() else "?" for mark in line))
-    return "\n".join(lines)
+    """Texts in aligned columns, heads first."""
+    from uqsphere.report.tables import columns
+
+    return "\n".join(columns(rows))
 
 
 def csv_text(content: Any, head: list[str] | None = None) -> str:
@@ -89,7 +83,7 @@ def chosen_command(
 
 
 def finish(chosen: argparse.Namespace, content: Any, text: str, files: Mapping[str, str]) -> None:
-    """Write the files of a command to `--out`, and print its answer."""
+    """Write the files of a command to `--out`, and print its answer without control characters."""
     from uqsphere.results.folder import write_files
 
     written = []
@@ -99,4 +93,5 @@ def finish(chosen: argparse.Namespace, content: Any, text: str, files: Mapping[s
     if chosen.json:
         print(json.dumps({**content, "written": written}, indent=1, allow_nan=False))
     else:
-        print("\n".join([text, *(f"wrote {path}" for path in written)]))
+        lines = "\n".join([text, *(f"wrote {path}" for path in written)])
+        print("".join(mark if mark.isprintable() or mark == "\n" else "?" for mark in lines))

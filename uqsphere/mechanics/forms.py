@@ -1,5 +1,6 @@
 """Required and optional keys of every table of a scene, by its kind; studies require a few more."""
 
+import re
 from collections.abc import Mapping
 
 from .rigs import RIGS
@@ -69,6 +70,15 @@ def kinds_of(
         "rig": rig,
         "striker": striker,
     }
+
+
+def keys_of(text: str) -> list[str]:
+    """Every key of a form.
+
+    >>> keys_of("E nu force|displacement; speed")
+    ['E', 'nu', 'force', 'displacement', 'speed']
+    """
+    return re.findall(r"\w+", text)
 
 
 def needs_of(text: str) -> list[list[str]]:

@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from pydantic import ValidationError
 
 from uqsphere.documents import Fault, faults_of, one_of, suggestion, unknown, within
 from uqsphere.errors import as_text
-from uqsphere.materials import MATERIAL_KINDS, library
+from uqsphere.materials import MATERIAL_KINDS, library, materials_of
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
@@ -31,7 +30,7 @@ from uqsphere.uq import Dependence, Law, LawError, make_joint
 from .document import RIG_TABLES, SCENE, Document
 from .limits import compare_sizes, parameters_of, read_limit
 from .plausibility import warn_of_slips
-from .study import Draft, Study, default_target, scene_with, strength_name
+from .study import Draft, Study, default_target, scene_with
 from .values import Number, number_of, numbers_of, pulse_of, value_of
 
 Faults = Iterator[Fault]
@@ -47,8 +46,10 @@ _NO_SPHERE = (
     "energies than a sphere of equal mass. Enter a measured ratio (breaking load of the sphere / "
     "of the particle) as limits.NAME.model_factor, which multiplies the demand."
 )
-#: keys of tables as `mechanics.forms.FORMS` has them, and what only studies require or have: a
-#: scene without `rod.length` has an endless rod; files, words and tables without a scene are here
+#: keys of tables, by table and kind, as `mechanics.forms.FORMS` writes them: "E nu force|speed;
+#: angle" requires E, nu and one of force and speed, and can have an angle.  Here is also what only
+#: studies require or have: a scene without `rod.length` has an endless rod; files, words and tables
+#: without a scene
 FORMS = {
     **forms.FORMS,
     "rod": {"": "E nu density diameter length"},
@@ -99,7 +100,7 @@ def resolve(draft: Draft, path: Path, **read: Any) -> Study:
         ),
         margins=draft.margins,
         record=draft.record,
-        dependence=tuple(Dependence(**dict(tie)) for tie in document.dependence),
+        dependence=tuple(draft.dependence),
         analysis=analysis,
         outputs=document.outputs.names,
         caveats=tuple(
@@ -204,7 +205,7 @@ def _library(draft: Draft) -> Faults:
         if name is None:
             continue
         kinds = _KINDS.get(table, MATERIAL_KINDS)
-        materials = dict(chain(*(library()[kind].items() for kind in kinds)))
+        materials = materials_of(*kinds)
         if name not in materials:
             near = suggestion(name, materials)
             for kind in MATERIAL_KINDS:
@@ -230,8 +231,9 @@ def _library(draft: Draft) -> Faults:
     # of an insert, a counter-body, the sphere or the contact itself
     known = any(name.endswith(("onset_pressure", "yield_strength")) for name in numbers)
     follows = model.fidelity == "full" and not model.compare_with_paper
-    draft.plastic = law == "plastic" or (law is None and known and follows)
-    if not draft.plastic:
+    if law == "plastic" or (law is None and known and follows):
+        draft.options["contact.law"] = "plastic"
+    else:
         for path in sources.keys() & {f"sphere.{key}" for key in LAW}:
             del numbers[path], sources[path]
 
@@ -273,13 +275,11 @@ def _words(draft: Draft) -> Faults:
             usual["rig.angle"] = 0.5 * math.pi
     for name, value in usual.items():
         numbers.setdefault(name, Number(value=value))
-    if draft.plastic:
-        options["contact.law"] = "plastic"
     yield from _keys_by_kind(draft, shape)
 
 
 def _keys_by_kind(draft: Draft, shape: str) -> Faults:
-    """What each table lacks for its kind, and what belongs to another kind."""
+    """Keys that belong to other kinds of their table, and what a table lacks for its own kind."""
     kinds = forms.kinds_of(
         draft.rig.name,
         shape,
@@ -289,35 +289,40 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
     ) | {"model": draft.rig.name}
     for table in FORMS.keys() & draft.data.keys():
         kind = kinds.get(table, "")
-        entries = numbers_of(table)
-        of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
-        present = {key for key, entry in entries.items() if entry.name in draft.numbers}
-        present |= draft.data[table].keys()
         for key in draft.data[table]:
-            homes = [form for form, keys in FORMS[table].items() if key in re.findall(r"\w+", keys)]
+            homes = [home for home, form in FORMS[table].items() if key in forms.keys_of(form)]
             if homes and kind not in homes:
+                of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
                 only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
                 yield Fault(f"{key} is not a key of {of}{only}. Remove it", f"{table}.{key}")
-        for keys in forms.needs_of(FORMS[table].get(kind, "")):
-            held = present.intersection(keys)
-            if len(held) == 2:
-                yield Fault(
-                    f"give only one of {one_of(keys)}. Remove the other", f"{table}.{keys[1]}"
-                )
-            if held:
-                continue
-            ways = []
-            for key in keys:
-                unit = getattr(entries.get(key), "display", "")
-                ways.append(f'{key} = "{f"… {unit}".rstrip()}"')
-            if keys[0] in ("E", "nu", "density"):
-                ways.append('material = "…" to take it from')
-            if keys[0].endswith("ing_length"):
-                ways.append("infinite = true")
-            meaning = f" ({entries[keys[0]].meaning})" if keys[0] in entries else ""
-            yield Fault(
-                f"{one_of(keys)} is missing{meaning}. Add {one_of(ways)}", f"{table}.{keys[0]}"
-            )
+        for alternatives in forms.needs_of(FORMS[table].get(kind, "")):
+            yield from _one_given(draft, table, alternatives)
+
+
+def _one_given(draft: Draft, table: str, alternatives: list[str]) -> Faults:
+    """Whether one of the keys that serve a purpose is given, by the file or by the library."""
+    entries = numbers_of(table)
+    given = {key for key, entry in entries.items() if entry.name in draft.numbers}
+    given = (given | draft.data[table].keys()).intersection(alternatives)
+    first = alternatives[0]
+    if len(given) > 1:
+        yield Fault(
+            f"give only one of {one_of(alternatives)}. Remove the other",
+            f"{table}.{alternatives[1]}",
+        )
+    elif not given:
+        ways = []
+        for key in alternatives:
+            unit = getattr(entries.get(key), "display", "")
+            ways.append(f'{key} = "{f"… {unit}".rstrip()}"')
+        if first in ("E", "nu", "density"):
+            ways.append('material = "…" to take it from')
+        if first.endswith("ing_length"):
+            ways.append("infinite = true")
+        meaning = f" ({entries[first].meaning})" if first in entries else ""
+        yield Fault(
+            f"{one_of(alternatives)} is missing{meaning}. Add {one_of(ways)}", f"{table}.{first}"
+        )
 
 
 # --- 4: what contradicts, random numbers at their nominal means -----------------------------------
@@ -385,27 +390,28 @@ def _scene(draft: Draft) -> Faults:
         columns["striker.speed"] = np.ones(1)
 
     try:
-        while draft.scene is None:
+        scene = scene_with(columns, options, model, record=draft.record)
+        # the laws of contacts that yield, by the table of the softer body
+        faces = {
+            "sphere" if partner.takes[0] else partner.table: partner.face
+            for partner in scene.there
+            if partner.face is not None
+        }
+        valid = faces and all(face.valid[0] for face in faces.values())
+        if draft.plastic and draft.document.contact.law is None and not valid:
+            # nobody asked for yield, and the library's numbers make no law of it: elastic contacts
+            del options["contact.law"]
             scene = scene_with(columns, options, model, record=draft.record)
-            # by the table of the softer body
-            faces = {
-                "sphere" if partner.takes[0] else partner.table: partner.face
-                for partner in scene.there
-                if partner.face is not None
-            }
-            valid = faces and all(face.valid[0] for face in faces.values())
-            if draft.plastic and draft.document.contact.law is None and not valid:
-                del options["contact.law"]
-                draft.plastic = False
-            else:
-                draft.scene = scene
+        draft.scene = scene
     except ValueError as error:
         raise Fault(
             f"{error}. Remove these keys, or set pulse.shape to "
             f"{one_of(map(shown, STRIKER_SHAPES))}",
             "striker",
         ) from None
-    if draft.plastic and not faces:
+    if not draft.plastic:
+        return
+    if not faces:
         names = [f"{partner.table}.yield_strength" for partner in scene.there]
         names += ["sphere.onset_pressure", "contact.onset_pressure"]
         yield Fault(
@@ -415,7 +421,7 @@ def _scene(draft: Draft) -> Faults:
         )
     of_contact = any(f"contact.{key}" in numbers for key in LAW)
     for softer, face in faces.items():
-        if draft.plastic and not face.valid[0]:
+        if not face.valid[0]:
             values = ", ".join(
                 f"{key} {format_value(value, f'contact.{key}')}"
                 for key, value in parameters_of(face).items()
@@ -522,7 +528,6 @@ def _analysis(draft: Draft) -> Faults:
 
 def _dependence(draft: Draft) -> None:
     """The names of each dependence, and each with those before it."""
-    ties = list[Dependence]()
     random = {k: n.value for k, n in draft.numbers.items() if isinstance(n.value, Law)}
     for index, table in enumerate(draft.document.dependence):
         for at, name in enumerate(table.of):
@@ -531,9 +536,9 @@ def _dependence(draft: Draft) -> None:
                 if name in draft.numbers:
                     message = f"{shown(name)} is a fixed number. Make it random, or remove it here"
                 raise Fault(message, f"dependence[{index}].of[{at}]")
-        ties.append(Dependence(**dict(table)))
+        draft.dependence.append(Dependence(**dict(table)))
         try:
-            make_joint(random, ties)
+            make_joint(random, draft.dependence)
         except LawError as error:
             key = error.key
             if key == "spearman" and table.spearman is None:
@@ -557,10 +562,10 @@ def _margins(draft: Draft) -> Faults:
             f"{suggestion(solve, names)}",
             "margins.solve",
         )
-    strengths = {strength_name(limit.name): limit.quantity for limit in draft.limits.values()}
-    quantity = strengths.get(solve, solve)
+    free = draft.limits.get(table.limit or "")
+    quantity = solve if free is None else free.quantity
     entry = plain_quantity(quantity) if draft.box else lookup(quantity)
-    if solve in strengths:
+    if free is not None:
         entry = replace(entry, lower=0.0, meaning="the mean strength")
     ends = []
     for index, raw in enumerate(table.between):
@@ -584,7 +589,7 @@ def _margins(draft: Draft) -> Faults:
         }
     )
     law = draft.numbers[solve].value
-    if not isinstance(law, Law) or solve in strengths:
+    if not isinstance(law, Law) or free is not None:
         return
     for index, value in enumerate(ends):
         try:

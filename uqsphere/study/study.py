@@ -377,7 +377,7 @@ class Draft:
     folder : that of the study, outside of which no file is read; files: those it has read, by the
         names it gives them.
     data : the tables as the file has them; document: the same, validated.
-    box, plastic : whether it is a black box, whether contacts can yield.
+    box : whether it is a black box.
     numbers : by dotted path (black box: bare name) in the order of the file, strengths and model
         factors last.
     scene : the one row at its means.
@@ -389,12 +389,13 @@ class Draft:
 
     def __init__(self, folder: Path, data: dict[str, Any], box: bool) -> None:
         self.folder, self.data, self.box = folder, data, box
-        self.plastic, self.place = False, ""
+        self.place = ""
         self.numbers = dict[str, Number]()
         self.options = dict[str, Json]()
         self.materials = dict[str, str]()
         self.sources = dict[str, Property]()
         self.limits = dict[str, Limit]()
+        self.dependence = list[Dependence]()
         self.warnings = dict[tuple[str, str], str]()
         self.files = dict[str, Path]()
         self.record: MeasuredPulse | None = None
@@ -405,6 +406,11 @@ class Draft:
     def rig(self) -> Rig:
         """What loads the sphere."""
         return RIGS[self.document.rig.kind]
+
+    @property
+    def plastic(self) -> bool:
+        """Whether contacts can yield."""
+        return "contact.law" in self.options
 
     @property
     def quantities(self) -> tuple[str, ...]:

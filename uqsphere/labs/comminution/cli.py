@@ -132,7 +132,7 @@ def _feed_text(content: dict[str, Any]) -> str:
             f"{100 * lot['lot_sd']:.2g} % from the lot"
         )
         rows.append((f"broken in a lot of {lot['mass']:.4g} kg", value, spread))
-    classes = [("size", "mass", "broken", LEVEL_TEXT, "")]
+    classes = [("size", "mass", "broken", LEVEL_TEXT, "remark")]
     for row in content["classes"]:
         mark = "extrapolated" if row["extrapolated"] else ""
         broken = _interval(row["broken"], 100.0, "%")

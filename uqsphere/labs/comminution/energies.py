@@ -13,7 +13,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Cells
 from uqsphere.errors import UqsphereError, UsageError
-from uqsphere.materials import library
+from uqsphere.materials import materials_of
 from uqsphere.tables import Table
 
 from . import laws
@@ -42,13 +42,13 @@ def particle_energies(
     material = asked.material
     notes = []
     if want.mass:
-        mass = table.numbers(want.mass, "mass", want.mass_unit or None, key="mass")
+        mass = table.numbers(want.mass, "mass", want.mass_unit, key="mass")
     elif material.density is not None:
         mass = laws.mass_of(diameter, material.density)
     else:
         raise UsageError("material.density is required, or a column tests.mass")
     name = want.measured
-    energy = table.numbers(getattr(want, name), name, want.unit or None, key="energy")
+    energy = table.numbers(getattr(want, name), name, want.unit, key="energy")
     meaning = {"force": "contact", "speed": "input"}.get(name, want.energy_is)
     if name == "energy":
         energy = energy / mass
@@ -57,8 +57,9 @@ def particle_energies(
     elif name == "force":
         # E* of the contacts: as measured, or of intact rock
         if want.stiffness:
-            unit = want.stiffness_unit or None
-            modulus = table.numbers(want.stiffness, "pressure", unit, key="stiffness")
+            modulus = table.numbers(
+                want.stiffness, "pressure", want.stiffness_unit, key="stiffness"
+            )
         else:
             bodies = filter(None, (material, want.partner))
             compliance = sum(1.0 / stiffness(body) for body in bodies)
@@ -146,6 +147,6 @@ def _table(body: Elastic, *kinds: str) -> dict[str, Any]:
         "nu": body.nu,
         "density": f"{body.density!r} kg/m3",
     }
-    if any(body.material in library()[kind] for kind in kinds):
+    if body.material in materials_of(*kinds):
         table["material"] = body.material
     return table

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
-from uqsphere.materials import library
+from uqsphere.materials import materials_of
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
 from uqsphere.uq import student
@@ -144,9 +144,9 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
     """
     table, _ = read_recorded(folder / asked.file)
     displacement = table.numbers(
-        asked.displacement, "length", asked.displacement_unit or None, key="displacement"
+        asked.displacement, "length", asked.displacement_unit, key="displacement"
     )
-    force = table.numbers(asked.force, "force", asked.force_unit or None, key="force")
+    force = table.numbers(asked.force, "force", asked.force_unit, key="force")
     table.check()
     if asked.compression == "negative":
         displacement = -displacement
@@ -178,7 +178,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
         raise UsageError(
             f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required"
         )
-    kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int))]
+    kept = kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int)]
     largest = np.maximum.accumulate(force)
     return Loading(displacement[kept], force[kept], largest[kept], table.notes)
 
@@ -294,7 +294,7 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     soft = 0.0
     sphere_modulus = None
     if asked.platens != "rigid":
-        materials = {**library()["bars"], **library()["plates"]}
+        materials = materials_of("bars", "plates")
         if asked.platens not in materials:
             raise UsageError(
                 f"platens must be rigid or one of {', '.join(materials)}, not {asked.platens!r}"
