@@ -31,7 +31,6 @@ def plain_quantity(name: str) -> Quantity:
     return Quantity(
         name=name,
         symbol=name,
-        dimension="number",
         lower=-math.inf,
         meaning=name,
         plausible=(-math.inf, math.inf),

@@ -300,8 +300,8 @@ class Table:
     ) -> Array:
         """A column in SI, (n,); nan where a cell is empty and may be, or faulty, which is noted.
 
-        unit : of the column; None: that of its heading.  TableError at `key` without any, or with a
-            contradiction.
+        unit : of the column; None or empty: that of its heading.  TableError at `key` without any,
+            or with a contradiction.
         """
         at = self.place(column, dimension, key)
         column = str(column)
@@ -325,7 +325,7 @@ class Table:
         allowed = typed_units(dimension)
         unit_key = _UNIT_KEYS.get(key, "units")
         in_heading = unit_in_heading(heading, dimension)[1]
-        if unit is None and in_heading is None:
+        if not unit and in_heading is None:
             wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
@@ -337,8 +337,8 @@ class Table:
                 f'"{heading} [{next(iter(units))}]"{more} ({allowed})',
                 key,
             )
-        if unit not in (None, *units):
-            near = nearest_unit(str(unit), dimension)
+        if unit and unit not in units:
+            near = nearest_unit(unit, dimension)
             hint = f"; did you mean {near!r}?" if near else ""
             raise TableError(f"{unit_key} must be one of {allowed}, not {unit!r}{hint}", unit_key)
         if unit and in_heading and units[unit] != units[in_heading]:

@@ -61,9 +61,9 @@ class Quantity:
     """
 
     name: str
-    symbol: str
-    dimension: str
     meaning: str
+    symbol: str = ""
+    dimension: str = "number"
     display: str = ""
     lower: float = 0.0
     upper: float = math.inf

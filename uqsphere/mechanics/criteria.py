@@ -33,9 +33,7 @@ AUERBACH = 8.6e3
 _CERTAIN = 1e9
 #: every parameter of every criterion
 PARAMETERS = {
-    name: Quantity(
-        name=name, symbol="", dimension=dimension, meaning=meaning, lower=lower, upper=upper
-    )
+    name: Quantity(name=name, dimension=dimension, meaning=meaning, lower=lower, upper=upper)
     for name, dimension, meaning, lower, upper in (
         ("modulus", "number", "Weibull modulus m", 1.0, 1e3),
         ("reference_volume", "volume", "volume the strength is measured on", 0.0, math.inf),

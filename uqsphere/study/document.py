@@ -59,7 +59,7 @@ def _fixed(name: str) -> Any:
     """The mark of a fixed number with its unit: a parameter of a criterion, or any number of a
     dimension.
     """
-    number = PARAMETERS.get(name) or Quantity(name=name, symbol="", dimension=name, meaning=name)
+    number = PARAMETERS.get(name) or Quantity(name=name, dimension=name, meaning=name)
     quantity = replace(number, meaning=f"the {number.meaning}")
     return BeforeValidator(partial(value_of, quantity=quantity)), WithJsonSchema(
         _fixed_schema(number.dimension)

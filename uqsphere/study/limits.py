@@ -73,13 +73,7 @@ _TENSION, _FAR = (2e5, 5e8), 20.0
 _LENGTHS, _FORCES = ("um", "mm", "cm", "m"), ("N", "kN", "MN")
 #: 0.9 P/D² of a test over the median, or the other way round, above which its unit is asked about
 _SLIP = 300.0
-_FACTOR = Quantity(
-    name="model_factor",
-    symbol="",
-    dimension="number",
-    meaning="the model factor",
-    plausible=(0.5, 2.0),
-)
+_FACTOR = Quantity(name="model_factor", meaning="the model factor", plausible=(0.5, 2.0))
 
 
 def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
@@ -410,15 +404,16 @@ def _warn_of_slips(
         typical = np.median(0.9 * force / np.square(diameter))
         return bool(low <= typical <= high and 1 / 3 <= np.median(diameter) / across <= 3.0)
 
-    def as_written(key: str, dimension: str) -> Array:
+    def unit_of(key: str, dimension: str) -> float:
+        """The unit [SI] in which a column is written; NaN of a diameter that is no column."""
         column = getattr(table, key)
         unit = getattr(table, f"{key}_unit")
         if unit is None and not column[:1].isdigit():
             unit = cells.unit_of(column, dimension)
-        return columns[key] / UNITS[dimension].get(unit or "", math.nan)
+        return UNITS[dimension].get(unit or "", math.nan)
 
-    loads = as_written("force", "force")
-    sizes = as_written("diameter", "length")
+    of_force = unit_of("force", "force")
+    of_length = unit_of("diameter", "length")
     tension: Array = 0.9 * force / np.square(diameter)
     typical = np.median(tension)
     far = np.abs(np.log(diameter / across)) > math.log(3.0)
@@ -439,7 +434,7 @@ def _warn_of_slips(
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
             f"of three, the first is {1e3 * diameter[far][0]:.4g} mm"
         )
-        likely = [u for u in _LENGTHS if is_usual(force, sizes * UNITS["length"][u])]
+        likely = [u for u in _LENGTHS if is_usual(force, diameter * UNITS["length"][u] / of_length)]
     elif low <= typical <= high:
         return tension
     else:
@@ -447,9 +442,9 @@ def _warn_of_slips(
             f"0.9 P/D² is {1e-6 * typical:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
             "MPa"
         )
-        likely = [u for u in _FORCES if is_usual(loads * UNITS["force"][u], diameter)]
+        likely = [u for u in _FORCES if is_usual(force * UNITS["force"][u] / of_force, diameter)]
     hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
-    if is_usual(sizes * (force / loads), loads * (diameter / sizes)):
+    if is_usual(diameter * (of_force / of_length), force * (of_length / of_force)):
         hint = "are the columns of force and diameter swapped?"
     draft.warn(f"{table.file}: {text}: {hint}", key, holds="unit")
     return tension

@@ -132,14 +132,17 @@ class TestsTable(Section):
 
 
 class SizesTable(Section):
-    """The feed by mass: a law or a sieve table; classes from `top` down by the factor `ratio`."""
+    """The feed by mass: a law or a sieve table; classes from `top` down by the factor `ratio`.
+
+    d63, d50, n, sd : numbers of the law; 0, as of `top`, where none is given.
+    """
 
     law: Literal["rosin_rammler", "gaudin_schuhmann", "lognormal", "table"]
-    d63: Length | None = None
-    d50: Length | None = None
-    n: Positive | None = None
-    sd: Positive | None = None
-    top: Length | None = None
+    d63: Length = 0.0
+    d50: Length = 0.0
+    n: Positive = 0.0
+    sd: Positive = 0.0
+    top: Length = 0.0
     ratio: float = Field(default=2.0**0.5, gt=1.0)
     classes: int = Field(default=14, ge=1, le=200)
     file: str = ""
@@ -164,7 +167,8 @@ class SizesTable(Section):
 class FeedTable(Section):
     """A feed under blows.
 
-    specific_energy, energy, speed : of one blow, exactly one: J/kg of every size, J, impact speed.
+    specific_energy, energy, speed : of one blow, exactly one: J/kg of every size, J, impact speed;
+        0 where it is not given.
     impact_surface : what the particles hit.
     rebreak : whether the remaining blows hit fragments, as fresh particles.
     undersize : whether particles below the last sieve break too.
@@ -174,9 +178,9 @@ class FeedTable(Section):
 
     sizes: SizesTable
     blows: int = Field(default=1, ge=1, le=1000)
-    specific_energy: SpecificEnergy | None = None
-    energy: Energy | None = None
-    speed: Speed | None = None
+    specific_energy: SpecificEnergy = 0.0
+    energy: Energy = 0.0
+    speed: Speed = 0.0
     impact_surface: Elastic | None = None
     rebreak: bool = False
     undersize: Literal["stays", "breaks"] = "stays"

@@ -55,7 +55,7 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
     """The classes of a feed; UsageError for a sieve table without more than 5 % of the mass."""
     notes: list[str] = []
     passing: Callable[[Array], Array] = partial(_law, asked)
-    top = asked.top or math.inf
+    top = asked.top
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
     else:
@@ -73,12 +73,11 @@ def _cut(share: float, place: str) -> str:
 
 def _law(asked: SizesTable, size: Array) -> Array:
     """The share that passes a size [m] by a law."""
-    n = asked.n or 1.0
     if asked.law == "rosin_rammler":
-        return -np.expm1(-((size / (asked.d63 or 1.0)) ** n))
+        return -np.expm1(-((size / asked.d63) ** asked.n))
     if asked.law == "gaudin_schuhmann":
-        return (size / (asked.top or math.inf)) ** n
-    return special.ndtr(np.log(size / (asked.d50 or 1.0)) / (asked.sd or 1.0))
+        return (size / asked.top) ** asked.n
+    return special.ndtr(np.log(size / asked.d50) / asked.sd)
 
 
 def _sieves(
@@ -87,7 +86,7 @@ def _sieves(
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
     table = read_table(folder / asked.file)
     column = asked.passing
-    sieve = table.numbers(asked.sieve, "length", asked.sieve_unit or None)
+    sieve = table.numbers(asked.sieve, "length", asked.sieve_unit)
     share = table.numbers(column)
     table.finish()
     order = np.argsort(sieve)
@@ -188,8 +187,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     sizes = classes.sizes
     # energy of one blow per mass [J/kg], given in one of three ways; share that a particle absorbs
     each: Array = laws.mass_of(sizes, density)
-    offered = (feed.energy or 0.0) / each
-    offered += (feed.specific_energy or 0.0) + 0.5 * (feed.speed or 0.0) ** 2
+    offered = feed.energy / each + feed.specific_energy + 0.5 * feed.speed**2
     share = np.ones(len(sizes))
     notes = list[str]()
     if feed.impact_surface is not None:

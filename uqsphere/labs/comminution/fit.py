@@ -92,7 +92,7 @@ class Posterior(NamedTuple):
     def thin(self, count: int) -> Posterior:
         """About so many draws, evenly."""
         draws = len(self.law)
-        return self.at(np.unique(np.linspace(0, draws - 1, min(count, draws)).astype(int)))
+        return self.at(np.linspace(0, draws - 1, min(count, draws)).astype(int))
 
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""

@@ -96,8 +96,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         raise UsageError(f"{table.name}: tests.where selects no row")
     # a column, or the geometric mean of two sieves
     sieves = [want.diameter] if want.diameter else [want.mesh_lower, want.mesh_upper]
-    unit = want.diameter_unit or None
-    ends = [table.numbers(name, "length", unit, key="diameter") for name in sieves]
+    ends = [table.numbers(name, "length", want.diameter_unit, key="diameter") for name in sieves]
     diameter = np.sqrt(ends[0] * ends[-1])
     particles = blows = np.ones(len(table))
     if want.particles:

@@ -113,7 +113,7 @@ class RecordTable(Section):
     reflected: Columns = ()
     receiving: Columns = ()
     time_unit: str = ""
-    sample_interval: Time | None = None
+    sample_interval: Time = 0.0
     aligned: bool = False
     polarity: Literal["auto", "tension", "compression"] = "auto"
     striker_speed: Speed | None = None

@@ -301,7 +301,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
     """
     table, columns, above = files[0]
     guessed = asked.time is None
-    interval = asked.sample_interval or 0.0
+    interval = asked.sample_interval
     if not interval and not columns[0].rises and len(files) == 1:
         interval = _interval(above)
     if guessed and interval > 0.0:
@@ -373,17 +373,21 @@ def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: 
             raise UsageError(
                 f"{table.name}: has no column {place + 1}, the time column of the first file"
             )
-        if place >= 0:
-            apart = np.abs(columns[place].in_seconds(unit)[:count] - time[:count])
-            if not np.nanmax(apart, initial=0.0) <= 0.5 * _step(time):
-                raise UsageError(
-                    f"{table.name}: its clock differs from that of {files[0].table.name}. Write "
-                    "both channels with one clock"
-                )
+        if place >= 0 and not _is_clock(columns[place], time[:count], unit):
+            raise UsageError(
+                f"{table.name}: its clock differs from that of {files[0].table.name}. Write both "
+                "channels with one clock"
+            )
         if len(table) != len(time):
             text = "files of different length: the longer one is cut"
             changes.add("read", text, signal=table.name)
     return time[:count]
+
+
+def _is_clock(column: Column, time: Array, unit: str) -> bool:
+    """Whether a column begins as a time (n,) within half a step."""
+    apart = np.abs(column.in_seconds(unit)[: len(time)] - time)
+    return bool(np.nanmax(apart, initial=0.0) <= 0.5 * _step(time))
 
 
 def _step(time: Array) -> float:
@@ -437,8 +441,7 @@ def _repeats(column: Column, time: Array, unit: str) -> bool:
     dimension = column.unit(unit)[0]
     if not column.rises or dimension not in ("time", "") or len(column.values) < len(time):
         return False
-    other = column.in_seconds(unit)[: len(time)]
-    if np.nanmax(np.abs(other - time)) <= 0.5 * _step(time):
+    if _is_clock(column, time, unit):
         return True
     if dimension == "time":
         raise UsageError(
