@@ -420,8 +420,8 @@ class Table:
         self,
         column: str,
         key: str,
+        meant: str,
         words: Mapping[str, bool] = WORDS["flags"],
-        meant: str = "0 or 1",
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]

@@ -433,19 +433,25 @@ def feed_document(**feed: Any) -> ComminutionDocument:
     return document(feed=feed, product={"A": "55 %", "b": "0.8 t/kWh"})
 
 
+def passing(answer: dict[str, Any]) -> Any:
+    """Median, low and high share (S, 3) of the product that passes each sieve."""
+    return np.array([[row[key] for key in ("value", "low", "high")] for row in answer["product"]])
+
+
 def test_mass_is_kept_and_the_product_is_finer_after_more_blows(
     fitted: Fit, tmp_path: Path
 ) -> None:
     one, five = (answer_feed(fitted.posterior, feed_document(blows=n), tmp_path) for n in (1, 5))
-    assert one.classes.mass.sum() == pytest.approx(1.0, abs=EXACT)
-    assert (np.diff(one.passing, axis=1) >= -EXACT).all()
-    assert one.passing[:, -1] == pytest.approx(1.0, abs=1e-9)
-    assert (five.total > one.total).all()
-    assert five.content["numbers"]["P80 [m]"]["value"] < one.content["numbers"]["P80 [m]"]["value"]
+    assert sum(row["mass"] for row in one["classes"]) == pytest.approx(1.0, abs=EXACT)
+    assert (np.diff(passing(one), axis=0) >= -EXACT).all()
+    assert passing(one)[-1] == pytest.approx(1.0, abs=1e-9)
+    broken = [answer["numbers"]["broken"] for answer in (one, five)]
+    assert all(broken[1][end] > broken[0][end] for end in ("value", "low", "high"))
+    assert five["numbers"]["P80 [m]"]["value"] < one["numbers"]["P80 [m]"]["value"]
     finer = answer_feed(
         fitted.posterior, feed_document(sizes=SIZES | {"ratio": 2**0.25, "classes": 28}), tmp_path
     )
-    coarse, fine = (answer.content["numbers"]["P80 [m]"]["value"] for answer in (one, finer))
+    coarse, fine = (answer["numbers"]["P80 [m]"]["value"] for answer in (one, finer))
     assert fine == pytest.approx(coarse, rel=0.01)
 
 
@@ -458,12 +464,13 @@ def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
         for n in (1, 3)
     )
     # the fragments of the last blow are hit no more: the same mass passes the edges of the classes
-    at = np.searchsorted(once[0].sieves, once[0].classes.edges)
-    np.testing.assert_allclose(once[1].passing[:, at], once[0].passing[:, at], rtol=1e-9)
+    sieves = [row["sieve"] for row in once[0]["product"]]
+    at = np.searchsorted(sieves, [row["upper"] for row in once[0]["classes"]])
+    np.testing.assert_allclose(passing(once[1])[at], passing(once[0])[at], rtol=1e-9)
     (out, again), key = thrice, "energy [J/kg]"
-    assert again.content["numbers"]["P80 [m]"]["value"] < out.content["numbers"]["P80 [m]"]["value"]
-    assert again.content["numbers"][key]["value"] > out.content["numbers"][key]["value"]
-    np.testing.assert_allclose(again.passing[:, -1], 1.0, atol=EXACT)
+    assert again["numbers"]["P80 [m]"]["value"] < out["numbers"]["P80 [m]"]["value"]
+    assert again["numbers"][key]["value"] > out["numbers"][key]["value"]
+    np.testing.assert_allclose(passing(again)[-1], 1.0, atol=EXACT)
     # two blows of two classes by hand
     cumulative = np.array([[[0.0, 0.5, 0.7], [0.0, 0.2, 0.3]]])
     struck, broken, left = population(
@@ -484,8 +491,8 @@ def test_fragments_are_hit_again(fitted: Fit, tmp_path: Path) -> None:
 
 
 def test_a_lot_scatters_beside_what_the_tests_leave_open(fitted: Fit, tmp_path: Path) -> None:
-    small = answer_feed(fitted.posterior, feed_document(lot="0.2 kg"), tmp_path).content["lot"]
-    large = answer_feed(fitted.posterior, feed_document(lot="2 t"), tmp_path).content["lot"]
+    small = answer_feed(fitted.posterior, feed_document(lot="0.2 kg"), tmp_path)["lot"]
+    large = answer_feed(fitted.posterior, feed_document(lot="2 t"), tmp_path)["lot"]
     assert small["lot_sd"] > 5.0 * large["lot_sd"]
     assert small["epistemic_sd"] == large["epistemic_sd"]
 

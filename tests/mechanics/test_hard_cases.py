@@ -4,6 +4,8 @@ says why not.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import example as scene_with
@@ -101,7 +103,10 @@ def test_a_step_on_light_spheres_follows_no_oscillation_that_has_died_out() -> N
 def test_the_largest_pressure_of_a_long_motion_alone_keeps_the_tolerance_without_a_second_look(
     mu: float, theta: float
 ) -> None:
-    scene = scattered_scene(8, mu=mu, theta=theta)
+    scene = scattered_scene(8)
+    factors = {"sphere.density": mu / 3e-3, "striker.length": theta / 3.0}
+    columns = {name: factors.get(name, 1.0) * x for name, x in scene.columns.items()}
+    scene = replace(scene, columns=columns)
     found = solve(scene, tolerance=1e-6, quantities=("p_max",))
     close = solve(scene, tolerance=1e-10, quantities=("p_max",))
     assert (found.steps > 1_000).all()

@@ -12,6 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array, Places
 from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, within
 from uqsphere.materials import library
+from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.rigs import LAW, sphere_body
@@ -498,12 +499,9 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     # the platens may be the partner in the rig; then the same body yields, else the sphere
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0
+    modulus = reduced_modulus(E, nu, *platens)
     for partner in reversed(draft.scene.there):
-        body = [
-            draft.mean(f"{partner.table}.insert_{key}", draft.mean(f"{partner.table}.{key}"))
-            for key in ("E", "nu")
-        ]
-        if np.allclose(body, platens, rtol=1e-9):
+        if np.isclose(partner.modulus[0], modulus, rtol=1e-9):
             face = partner.face
             takes = float(partner.takes[0])
     if draft.plastic and face is not None:

@@ -358,7 +358,7 @@ def scene_with(
         horizon=model.horizon,
         demands=demands or {},
         contact_law=word("contact.law", "hertz"),
-        hardness_at_onset=word("contact.hardness") == "onset",
+        hardness_at_onset="contact.hardness" in options,
         record=record,
     )
 
@@ -450,8 +450,8 @@ class Draft:
         assert self.scene is not None
         return float(np.mean([partner.modulus[0] for partner in self.scene.there]))
 
-    def mean(self, path: str, absent: float = math.nan) -> float:
+    def mean(self, path: str) -> float:
         """A number at its nominal mean; NaN, for which no comparison holds, where there is none."""
         if path in self.numbers:
             return self.numbers[path].mean
-        return absent
+        return math.nan

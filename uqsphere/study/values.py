@@ -464,7 +464,7 @@ def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
     """The mean of the distributions that a fit allows, each a draw of its parameters."""
     columns = {}
     with opened(table, draft, "draws") as cells:
-        kinds = cells.flags("distribution", "draws", _KINDS, one_of(_KINDS))
+        kinds = cells.flags("distribution", "draws", one_of(_KINDS), _KINDS)
         for key, its_dimension in _DRAWN.items():
             dimension = its_dimension or quantity.dimension
             bare = [unit_in_heading(heading, dimension)[0] for heading in cells.headings]
@@ -517,7 +517,7 @@ def observations(
         stopped = np.zeros(len(cells), dtype=bool)
         many = np.ones(len(cells))
         if table.censored is not None:
-            stopped = cells.flags(table.censored, "censored", meant="0 or 1 (1: stopped)")
+            stopped = cells.flags(table.censored, "censored", "0 or 1 (1: stopped)")
         if table.count is not None:
             many = cells.numbers(table.count, key="count")
         cells.refuse("count", "count must be a positive integer", (many < 1.0) | (many % 1.0 > 0.0))

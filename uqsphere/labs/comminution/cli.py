@@ -54,7 +54,7 @@ def _run(chosen: argparse.Namespace) -> None:
             f"{high * 1e3:.4g} mm): draws.csv is {extrapolation}. Test this size"
         )
     if chosen.command == "feed":
-        answer = answer_feed(posterior, asked, folder).content
+        answer = answer_feed(posterior, asked, folder)
         content = {"fit": content, "feed": answer}
         text = _feed_text(answer)
         warnings += answer["warnings"]

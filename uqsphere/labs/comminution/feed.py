@@ -144,21 +144,6 @@ def _sieves(
 # --- blows ----------------------------------------------------------------------------------------
 
 
-class Answer(NamedTuple):
-    """A feed after its blows, over draws, and `content` as plain JSON.
-
-    total (D,) : share of the feed that is broken.
-    sieves (S,) : [m]; passing (D, S) : share of the product that passes them, (0, 0) without
-        [product].
-    """
-
-    classes: Classes
-    total: Array
-    sieves: Array
-    passing: Array
-    content: dict[str, Any]
-
-
 def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
     """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,)
     [J/kg]."""
@@ -166,8 +151,8 @@ def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int
     return np.stack([posterior.broken(energy * u[:, [k]], sizes) for k in range(blows + 1)], axis=2)
 
 
-def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> Answer:
-    """Broken shares, product and energy of the feed of an input file.
+def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> dict[str, Any]:
+    """Broken shares, product and energy of the feed of an input file over the draws, as plain JSON.
 
     Raises UsageError for a missing or impossible [feed].
     """
@@ -181,7 +166,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     if density is None:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
-    posterior = posterior.thin(DRAWS)
+    draws = len(posterior.law)
+    posterior = posterior.at(np.linspace(0, draws - 1, min(DRAWS, draws)).astype(int))
     rng = np.random.default_rng([asked.seed, 739])
     edges, mass, _ = classes
     sizes = classes.sizes
@@ -227,7 +213,6 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         "blows": struck @ hit,
         "energy [J/kg]": struck @ (hit * taken),
     }
-    passing = np.empty((0, 0))
     passes = []
     if product is not None:
         passing = whole @ unbroken.T
@@ -311,7 +296,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             "epistemic_sd": total.std(),
             "lot_sd": math.sqrt(max(lots.var() - total.var(), 0.0)),
         }
-    return Answer(classes, total, sieves, passing, content)
+    return content
 
 
 def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Array, Array, Array]:

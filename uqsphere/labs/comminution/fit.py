@@ -89,11 +89,6 @@ class Posterior(NamedTuple):
         parameters = {name: values[rows] for name, values in self.parameters.items()}
         return self._replace(law=self.law[rows], parameters=parameters)
 
-    def thin(self, count: int) -> Posterior:
-        """About so many draws, evenly."""
-        draws = len(self.law)
-        return self.at(np.linspace(0, draws - 1, min(count, draws)).astype(int))
-
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""
         return self._each(diameter, 0.0, lambda law, value, median, *_: median)

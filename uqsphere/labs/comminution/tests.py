@@ -107,7 +107,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         broken = table.numbers(want.broken)
     else:
         allowed = f"one of {', '.join(_BROKE)}"
-        broken = table.flags(want.outcome, "outcome", _BROKE, allowed) * particles
+        broken = table.flags(want.outcome, "outcome", allowed, _BROKE) * particles
     rig = np.full(len(table), want.rig)
     if want.rig_column:
         rig = np.array(table.texts(want.rig_column))
