@@ -517,7 +517,13 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     texts = [*live.values()]
     ends = "".join(texts[:1] + texts[-1:])  # a title has no divider
     divider = next((mark for mark in "\t;" if mark in ends), ",")
-    rows = {k: _trimmed(row) for k, row in cells_of(live, divider, name).items()}
+    try:
+        cells = cells_of(live, divider, strict=True)
+    except csv.Error:
+        raise TableError(
+            f"{name!r}: a text in quotes extends over several lines. Keep every row on one line"
+        ) from None
+    rows = {k: _trimmed(row) for k, row in cells.items()}
     above = [*rows][: _place_of_headings([*rows.values()])]
     if above:
         notes.append(f"{name}: {_lines(above)}: above the headings, left out")
@@ -625,10 +631,11 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
 
 
 def cells_of(
-    lines: Mapping[int, str], divider: str, name: str, strict: bool = True
+    lines: Mapping[int, str], divider: str, *, strict: bool = False
 ) -> dict[int, list[str]]:
-    """Cells of lines by their numbers, divided by a character, or by blanks; `strict`: quotes must
-    close, or TableError is raised."""
+    """Cells of lines by their numbers, divided by a character, or by blanks; csv.Error for quotes
+    that do not close, if `strict`.
+    """
 
     def divided(line: str) -> list[str]:
         if divider == " ":
@@ -636,12 +643,7 @@ def cells_of(
         (cells,) = csv.reader([line], delimiter=divider, strict=strict)
         return [cell.strip() for cell in cells]
 
-    try:
-        return {k: divided(line) for k, line in lines.items()}
-    except csv.Error:
-        raise TableError(
-            f"{name!r}: a text in quotes extends over several lines. Keep every row on one line"
-        ) from None
+    return {k: divided(line) for k, line in lines.items()}
 
 
 def table_of(

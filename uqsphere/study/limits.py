@@ -225,7 +225,8 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit) -> Number:
         entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
     )
     if is_tests(table.strength):
-        number = _tested(draft, declared(Observations, table.strength), limit)
+        tests = declared(Observations, {"fit": "weibull", **table.strength})
+        number = _tested(draft, tests, limit)
         warn_unusual(number.mean, entry, draft)
         return number
     number = number_of(table.strength, entry, draft)
@@ -241,7 +242,6 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     Fault.
     """
     demand = limit.criterion or limit.quantity
-    kind = table.fit or "weibull"
     if limit.criterion is None and not lookup(demand).follows:
         raise Fault(
             f"forces at failure do not determine {demand}. Use a criterion (uqsphere list "
@@ -265,7 +265,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     flaws = 2.0 if lookup(limit.quantity).place in ("contact", "rim", "below") else 3.0
 
     def by_size(exponent: float) -> tuple[Law, float]:
-        law = fit(force * (mean / diameter) ** exponent, stopped, table, kind)
+        law = fit(force * (mean / diameter) ** exponent, stopped, table)
         return law, power and power - flaws / (modulus_of(law) or math.inf)
 
     law, exponent = _fixed_point(by_size, power)
@@ -299,7 +299,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:
-        law = fit(value(modulus), stopped, table, kind, slope=float(np.median(slopes)))
+        law = fit(value(modulus), stopped, table, slope=float(np.median(slopes)))
         return law, modulus_of(law) or modulus
 
     law, _ = _fixed_point(by_value, 8.0) if limit.needs_modulus else by_value(8.0)

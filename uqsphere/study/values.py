@@ -440,7 +440,7 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
         for end in (table.lower, table.upper)
     ]
     warn_of_rows(cells, rows, columns["column"], stopped, draft)
-    law = fit(columns["column"], stopped, table, table.fit, bounds)
+    law = fit(columns["column"], stopped, table, bounds)
     return Number(value=law, synthetic=table.synthetic)
 
 
@@ -532,7 +532,6 @@ def fit(
     data: Array,
     stopped: Flags,
     table: Observations,
-    kind: str | None,
     bounds: Sequence[float | None] = (None, None),
     *,
     slope: float = 1.0,
@@ -555,8 +554,8 @@ def fit(
         censored = data[stopped].tolist()
         if modulus is not None:
             modulus /= slope
-            return law_of_known_modulus(failures, kind, censored=censored, modulus=modulus)
-        return fitted_law(failures, kind, *bounds, censored=censored, unbiased=table.unbiased)
+            return law_of_known_modulus(failures, table.fit, censored=censored, modulus=modulus)
+        return fitted_law(failures, table.fit, *bounds, censored=censored, unbiased=table.unbiased)
 
 
 def warn_of_rows(cells: Table, rows: Places, x: Array, stopped: Flags, draft: "Draft") -> None:

@@ -80,13 +80,13 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     if len(live) > _LONG:
         skipped = len(live) // 2
     looked_at = dict([*live.items()][skipped:][:_LOOKED_AT]) or live
-    forms = [_form_of(looked_at, written, name) for written in _WRITTEN]
+    forms = [_form_of(looked_at, written) for written in _WRITTEN]
     divider, mark, width, places, whole = max(forms, key=lambda f: (min(len(f.places), 2), f.whole))
     if not (places and whole):
         raise TableError(
             f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
         )
-    cells = cells_of(live, divider, name, strict=False)
+    cells = cells_of(live, divider)
 
     def has_numbers(row: list[str]) -> bool:
         """Whether a row is one of numbers, not all of them missing."""
@@ -113,7 +113,7 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     above = [row for number, row in cells.items() if number < first]
     if not above:
         comments = {k: x.lstrip("# ") for k, x in lines.items() if k < first and is_comment(x)}
-        above = [*cells_of(comments, divider, name, strict=False).values()]
+        above = [*cells_of(comments, divider).values()]
     above = [row[:width] for row in above if len(row) in (width, width + 1)]
     units = []
     if above and tables.are_units(above[-1]):
@@ -136,12 +136,12 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     return tables.table_of(name, chosen, notes, mark), "\n".join(metadata)
 
 
-def _form_of(lines: dict[int, str], written: str, name: str) -> _Form:
+def _form_of(lines: dict[int, str], written: str) -> _Form:
     """The columns that contain numbers, with words in less than half of the rows."""
     divider = written[0]
     mark = written[1]
     is_number = NUMBER[mark].fullmatch
-    cells = cells_of(lines, divider, name, strict=False)
+    cells = cells_of(lines, divider)
     rows = [row for row in cells.values() if any(map(is_number, row))]
     width = mode([*map(len, rows)] or [0])
     rows = [row for row in rows if len(row) == width]
@@ -546,20 +546,19 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     if not same.any():
         return time, raw
     equal = np.isclose(raw[:, 1:], raw[:, :-1], rtol=0.0, atol=0.0, equal_nan=True)
-    twice = same & equal.all(axis=0)
-    kept = np.append(True, ~twice)
-    if _is_even(time[kept], 0.5):
-        changes.add("read", f"{twice.sum()} repeated rows are ignored")
-        return time[kept], raw[:, kept]
     first = np.append(True, ~same)
     sample = np.argmax(same) + 2
-    if same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
-        places = np.flatnonzero(first)
-        changes.add(
-            "read",
+    text = ""
+    if equal[:, same].all() and _is_even(time[first], 0.5):
+        text = f"{same.sum()} repeated rows are ignored"
+    elif same.sum() <= _FEW_TWICE and _is_even(time[first], _UNEVEN):
+        text = (
             f"{same.sum()} samples have the time of the sample before, first sample {sample}: "
-            "their mean is taken",
+            "their mean is taken"
         )
+    if text:
+        changes.add("read", text)
+        places = np.flatnonzero(first)
         counts = np.diff(np.append(places, len(time)))
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
     # a coarse clock takes steps of one digit, again and again
