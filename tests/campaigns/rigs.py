@@ -100,19 +100,19 @@ def main() -> None:
     ]
     given = arguments([row for _, row in rows])
     wanted = tracked.WANT_CONTACT if chosen.alone else tracked.WANT_ALL
-    found = solve.look_closer(given, 0, TOLERANCE, wanted=wanted)
+    found = solve.look_closer(given, solve.Task(tolerance=TOLERANCE, wanted=wanted))
     worst: dict[Any, dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    status = Counter(found.status.tolist())
+    status = Counter(found["status"].tolist())
     for i, (stratum, row) in enumerate(rows):
-        if found.status[i] != 0:
+        if found["status"][i] != 0:
             continue
-        for name, error in errors_of(found.answers[i], row).items():
+        for name, error in errors_of(found[i], row).items():
             worst[stratum][name] = max(worst[stratum][name], error)
             if not error < 100.0:
                 print("wrong and silent:", stratum, name, f"{error:.3g}", row)
     for stratum, errors in worst.items():
         print(*stratum, {name: round(float(error), 3) for name, error in errors.items()})
-    print("status", dict(status), "steps", math.ceil(found.steps.mean()))
+    print("status", dict(status), "steps", math.ceil(found["steps"].mean()))
 
 
 if __name__ == "__main__":

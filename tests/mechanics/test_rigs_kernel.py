@@ -13,7 +13,7 @@ import pytest
 from tests.independent.motion import Law, Motion, Pole, march
 from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import tracked
-from uqsphere.mechanics.integrator.solve import Scaled, march_rows, motion, solve
+from uqsphere.mechanics.integrator.solve import Task, march_rows, motion, solve
 from uqsphere.mechanics.scene import Scene
 
 #: (R3) of one scene: mu, speed of the sphere, and of both poles zeta, mu_i, speed V_i, kappa,
@@ -69,8 +69,9 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
     }
 
 
-def kernel(rows: list[Row], tolerance: float = 1e-8) -> Scaled:
-    return march_rows(arguments(rows), 0, tolerance, requested=tolerance)
+def kernel(rows: list[Row], tolerance: float = 1e-8) -> Any:
+    answers, _ = march_rows(arguments(rows), Task(tolerance=tolerance, requested=tolerance))
+    return answers
 
 
 def second(row: Row, rtol: float = 1e-12, **record: Any) -> Motion:
@@ -111,9 +112,8 @@ SCENES = {
 
 @pytest.mark.parametrize("row", SCENES.values(), ids=SCENES)
 def test_a_second_integrator_of_another_method_agrees(row: Row) -> None:
-    found, other = kernel([row]), second(row)
-    answers = found.answers[0]
-    assert found.status[0] == 0
+    (answers,), other = kernel([row]), second(row)
+    assert answers["status"] == 0
     for k, pole in enumerate(other.poles):
         if pole.law is not None:
             at = other.peak(lambda rows, k=k: rows[2 + k])[1]
@@ -243,7 +243,7 @@ def test_the_record_of_a_rod_goes_on_until_its_echo_has_acted() -> None:
 )
 def test_nothing_follows_the_record_of_a_rod(row: Row) -> None:
     """Against a second integrator, which follows the bodies for eight more round trips."""
-    found = kernel([row]).answers[0]
+    found = kernel([row])[0]
     pole = row["poles"][1]
     record = float(found["ended"]) + 8.0 * pole["trip"]
     jumps = np.arange(pole["trip"], record, pole["trip"]).tolist()
@@ -258,13 +258,14 @@ def test_nothing_follows_the_record_of_a_rod(row: Row) -> None:
 
 def test_the_bodies_never_close() -> None:
     found = kernel([rig(speed=-1.0, B={}), rig(A={"mu": 1.0}, B={}), rig(speed=1.0, B={"V": 2.0})])
-    assert found.status.tolist() == [tracked.NEVER_CLOSES] * 3
+    assert found["status"].tolist() == [tracked.NEVER_CLOSES] * 3
 
 
 def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
     given = arguments([rig(speed=1.0, B={})])
     given["horizon"][:] = 1.0
-    assert march_rows(given, 0, 1e-6).status[0] == tracked.STILL_PRESSED
+    answers, _ = march_rows(given, Task(tolerance=1e-6))
+    assert answers["status"][0] == tracked.STILL_PRESSED
 
 
 def random_rigs(count: int, seed: int) -> list[Row]:
@@ -303,8 +304,8 @@ def test_energy_and_momentum_of_random_rigs() -> None:
     """
     rows, tolerance = random_rigs(500, 3), 1e-7
     found = kernel(rows, tolerance)
-    assert (found.status == 0).all()
-    for row, answers in zip(rows, found.answers, strict=True):
+    assert (found["status"] == 0).all()
+    for row, answers in zip(rows, found, strict=True):
         speeds = np.array([answers["sphere_speed"], *answers["end_speed"]])
         before = np.array(
             [row["speed"], *(0.0 if pole is None else pole["V"] for pole in row["poles"])]
@@ -340,7 +341,7 @@ def test_mirrored_rigs_have_mirrored_answers() -> None:
             "poles": [pole and {**pole, "V": -pole["V"]} for pole in row["poles"]],
         }
         mirror["poles"].reverse()
-        one, other = kernel([row, mirror], 1e-7).answers
+        one, other = kernel([row, mirror], 1e-7)
         for name in ("x", "carried", "other"):
             assert one[name] == pytest.approx(other[name][::-1], rel=1e-9, abs=1e-12)
         for name in ("contact", "parting", "stored", "mean_force"):

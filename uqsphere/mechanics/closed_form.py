@@ -297,11 +297,9 @@ def solve_closed(
     else:
         closed = _impact(scene)
     # closed forms have a single force peak
-    columns = {"x_first": closed["x_max"], **closed}
+    columns = {"status": scene.status, "steps": 0, "x_first": closed["x_max"], **closed}
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}
-    return answers_from(
-        scene, tracked, scene.status, np.zeros(len(scene), dtype=np.int64), quantities=quantities
-    )
+    return answers_from(scene, tracked, quantities=quantities)
 
 
 def _light(scene: Scene) -> ColumnMap:

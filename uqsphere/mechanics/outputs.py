@@ -416,8 +416,6 @@ def _value(scene: Scene, columns: Columns, quantity: str) -> Values:
 def answers_from(
     scene: Scene,
     tracked: ColumnMap,
-    status: Places,
-    steps: Places,
     *,
     linear: bool = False,
     quantities: Collection[str] | None,
@@ -436,6 +434,7 @@ def answers_from(
         quantities = (*(name for name in OUTPUTS if not absent_in(scene, name)), *scene.demands)
     values = {name: _value(scene, columns, name) for name in quantities}
     finite = np.isfinite([columns["x_max"], *values.values()]).all(axis=0)
+    status = columns["status"]
     status = np.where(answered(status) & ~finite, NOT_FINITE, status)
     for partner, side in zip(scene.there, columns.get("sides", ()), strict=False):
         if partner.kind == "bar" and not scene.by_wave:
@@ -454,5 +453,5 @@ def answers_from(
         grazes=np.nan_to_num(tracked.get("grazed", np.zeros(len(scene)))),
         status=status,
         record=scene.scales.time * columns["ended"],
-        steps=steps,
+        steps=columns["steps"],
     )

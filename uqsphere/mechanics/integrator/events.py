@@ -209,7 +209,7 @@ def _deepest(s, j, m, end, deepest):
     """
     width = end / POINTS
     place = -1.0
-    allowed = 1e-3 * s.error[j] * s.size[2 * (m // LANES), j]
+    allowed = 1e-3 * s.error[j] * s.size[m]
     for i in range(POINTS + 1):
         if s.at[i, m] > deepest:
             deepest = s.at[i, m]
@@ -459,10 +459,7 @@ def after_step(s, j):
     """
     lane = s.lane[j]
     ends = s.theta[j]
-    kinds = 0
     eventful = may_end(s, j)
-    if s.wanted & OF_BOTH:
-        kinds = _may_grow(s, j)
     if eventful:
         ends = _first_event(s, j)
         if ends < s.theta[j]:
@@ -470,10 +467,9 @@ def after_step(s, j):
                 for m in range(j, PAIR, LANES):
                     s.at[i, m], s.rate[i, m] = approach_of(s, m, ends * i / POINTS)
     _note_approaches(s, j, ends)
-    if kinds:
-        for kind in range(DIFFERENCE, KINDS):
-            if kinds & (1 << kind):
-                lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
+    for kind in range(DIFFERENCE, KINDS):
+        if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
+            lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
     if eventful and lane.low > 0.0:  # the record ends below a share of the largest approach
         if not lane.by_law:
             lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
@@ -506,7 +502,7 @@ def _note_approaches(s, j, ends):
         elif s.top[m] > lane.peak[to]:
             lane.peak[to], place = _deepest(s, j, m, ends, lane.peak[to])
         # above it a face has touched
-        if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[2 * face, j]:
+        if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[m]:
             lane.touched[face] = 1.0
         if s.rigged and place >= 0.0:
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
@@ -521,31 +517,23 @@ OF_BOTH = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | t
 
 
 @compiled
-def _may_grow(s, j):
-    """Functions of both faces (bits) that may be the largest so far in the step of a lane."""
-    lane = s.lane[j]
-    a = j
+def follows(s, kind):
+    """Whether the largest value of a function of both faces is wanted."""
+    return s.wanted & (1 << (kind - 1)) != 0
+
+
+@compiled
+def _bound(s, j, kind):
+    """What a function of both faces can reach at most in the step of a lane."""
     b = LANES + j
-    kinds = 0
-    wanted = s.wanted
-    if wanted & (tracked.WANT_MEAN | tracked.WANT_DIFFERENCE):
-        most_a, _ = face_force(s, a, s.top[a])
-        most_b, _ = face_force(s, b, s.top[b])
-        if wanted & tracked.WANT_MEAN and 0.5 * (most_a + most_b) > lane.peak[MEAN]:
-            kinds |= 1 << MEAN
-        if wanted & tracked.WANT_DIFFERENCE:
-            least_a, _ = face_force(s, a, s.floor[a])
-            least_b, _ = face_force(s, b, s.floor[b])
-            if max(most_a - least_b, most_b - least_a) > lane.peak[DIFFERENCE]:
-                kinds |= 1 << DIFFERENCE
-    if wanted & (tracked.WANT_ENERGY | tracked.WANT_SHARE):
-        most_a, _ = stored_energy(s, a, s.top[a])
-        most_b, _ = stored_energy(s, b, s.top[b])
-        if wanted & tracked.WANT_ENERGY and most_a + most_b > lane.peak[ENERGY]:
-            kinds |= 1 << ENERGY
-        if wanted & tracked.WANT_SHARE and s.chi[a] * most_a + s.chi[b] * most_b > lane.peak[SHARE]:
-            kinds |= 1 << SHARE
-    return kinds
+    top_a = (s.top[j], 0.0)
+    top_b = (s.top[b], 0.0)
+    if kind == DIFFERENCE:
+        above, _ = _both(s, j, kind, top_a, (s.floor[b], 0.0))
+        below, _ = _both(s, j, kind, (s.floor[j], 0.0), top_b)
+        return max(above, -below)
+    most, _ = _both(s, j, kind, top_a, top_b)
+    return most
 
 
 #: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
@@ -565,7 +553,7 @@ def _note_impulse(s, j, theta):
     """
     lane = s.lane[j]
     impulse = 0.0
-    if lane.touching or 50.0 * lane.impulse < max(s.size[0, j], s.size[2, j]):
+    if lane.touching or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):
                 x, _ = approach_of(s, m, theta * _NODES[i] * _NODES[i])

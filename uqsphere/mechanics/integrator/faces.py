@@ -68,28 +68,26 @@ def new_faces(s, j, given):
     """
     for face in range(2):
         m = face * LANES + j
-        s.dent[m] = 0.0
-        s.shift[m] = 0.0
-        s.constant[m] = 0.0
-        s.base[m] = 0.0
-        s.by_x[m] = 0.0
-        s.by_root[m] = 0.0
-        s.by_log[m] = 0.0
-        s.start[m] = 0.0
-        s.inverse[m] = 0.0
-        s.turned_at[m] = -1.0
-        onset = given[LAW_ONSET, face]
         stiffness = given[LAW_STIFFNESS, face]
-        s.onset[m] = onset
+        _be_spring(s, m, stiffness)
+        s.dent[m] = 0.0
+        s.turned_at[m] = -1.0
+        s.onset[m] = given[LAW_ONSET, face]
         s.softening[m] = given[LAW_SOFTENING, face]
         s.pile_up[m] = given[LAW_PILE_UP, face]
         s.stiffness[m] = stiffness
-        s.spring[m] = stiffness
-        s.largest[m] = onset
-        s.unit_force[m] = stiffness * onset**1.5
-        s.hertz[m] = stiffness
+        s.largest[m] = s.onset[m]
+        s.unit_force[m] = stiffness * s.onset[m] ** 1.5
         s.peak_force[m] = s.unit_force[m]
         s.chi[m] = given[LAW_SHARE, face]
+
+
+@compiled
+def _be_spring(s, m, stiffness):
+    """A face whose force is `stiffness` x^(3/2) of its approach above the dent."""
+    s.spring[m] = s.hertz[m] = stiffness
+    s.shift[m] = s.base[m] = s.constant[m] = s.start[m] = s.inverse[m] = 0.0
+    s.by_x[m] = s.by_root[m] = s.by_log[m] = 0.0
 
 
 @compiled
@@ -123,15 +121,7 @@ def let_go(s, m, above):
     s.peak_force[m] = s.unit_force[m] * force
     s.largest[m] = largest
     s.dent[m] = largest - recovered
-    s.spring[m] = s.peak_force[m] / (recovered * math.sqrt(recovered))
-    s.hertz[m] = s.spring[m]
-    s.shift[m] = 0.0
-    s.by_x[m] = 0.0
-    s.by_root[m] = 0.0
-    s.by_log[m] = 0.0
-    s.constant[m] = 0.0
-    s.start[m] = 0.0
-    s.inverse[m] = 0.0
+    _be_spring(s, m, s.peak_force[m] / (recovered * math.sqrt(recovered)))
     return approach - s.dent[m]
 
 

@@ -165,4 +165,4 @@ def read_echo(s, j, bar, made):
             if WAVE_THETAS[i] >= from_theta:
                 s.echo[i, m] = s.work[i]
     s.returns[m] = 2.0 * lane.reflect[bar]
-    s.negligible[m] = 0.1 * s.error[j] * min(s.size[0, j], s.size[2, j]) / s.h[j]
+    s.negligible[m] = 0.1 * s.error[j] * min(s.size[j], s.size[LANES + j]) / s.h[j]

@@ -32,9 +32,9 @@ units and who writes them.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from uqsphere.arrays import Array, Places
+from uqsphere.arrays import Array
 
 from . import events, incoming, lanes, records, tracked
 from .compiled import compiled
@@ -52,7 +52,7 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import FACE_A, FACE_B, FULL, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
+from .tracked import FACE_A, FACE_B, FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -64,8 +64,6 @@ LIMIT = 1 << 20
 #: speed errs by as much at every near loss, had P_max 27 tolerances off (campaign sweep, each
 #: quantity alone)
 _APART, _APART_IN_RIGS = 3.0, 100.0
-#: fate of a row that is not done; the others are its status
-GOES_ON = -1
 #: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy
 #: (sweep, balances)
 FREE_STEPS = 1 << 10
@@ -78,9 +76,9 @@ class Rows(NamedTuple):
     breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
     inf for the rule of infinite bars, which needs pulse_end (n,).  level (n,): scale of x that is
     expected at least.  laws (n, tracked.LAWS, 2): of both faces.  poles (n, tracked.POLES, 2),
-    speed (n,): what stands at the poles, and u at the start.  `march_rows` fills laws and poles in
-    where faces are alike and elastic, or stand on two bars; whether they are so is in the state
-    (`has_laws`, `rigged`).  The record of other rigs than bars ends when the bodies part.
+    speed (n,): what stands at the poles, and u at the start.  Whether faces are alike and elastic,
+    or stand on two bars, is in the state (`has_laws`, `rigged`).  The record of other rigs than
+    bars ends when the bodies part.
     """
 
     mass: Array
@@ -97,17 +95,9 @@ class Rows(NamedTuple):
     speed: Array
 
 
-class Answers(NamedTuple):
-    """What n rows come to: answers (n,) of the type tracked.ANSWER, status (n,) and steps (n,)."""
-
-    answers: Any
-    status: Places
-    steps: Places
-
-
 @compiled(entry=True)
 def march(rows, order, state, made, kept, out):
-    """Integrate rows `order` of a batch; what they come to goes to `out`.
+    """Integrate rows `order` of a batch; what they come to goes to `out` (n,): tracked.ANSWER.
 
     state (1,): tracked.STATE with what is asked; made (LANES, room): tracked.STEP; kept
     (len(order), room): tracked.PATH, the series of every row, where there is room for them.
@@ -119,8 +109,8 @@ def march(rows, order, state, made, kept, out):
         for j in range(LANES if live < LANES else 0):
             lane = s.lane[j]
             while lane.number < 0 and taken < len(order):
-                lane.place_in_order = taken
                 _enter(s, j, order[taken], rows)
+                lane.place_in_order = taken
                 taken += 1
                 if lane.fate != GOES_ON:
                     _leave(s, j, made, out)
@@ -152,11 +142,11 @@ def _leave(s, j, made, out):
     """The row of a lane is done: its status, and its answers if it has any."""
     lane = s.lane[j]
     r = lane.number
-    out.status[r] = lane.fate
+    out[r].status = lane.fate
     lane.number = -1
     if lane.fate != tracked.OK:
         return
-    out.steps[r] = lane.count
+    out[r].steps = lane.count
     if math.isnan(lane.ended):
         last = made[j, (lane.count - 1) & (s.ring - 1)]
         lane.ended = last.began + last.holds
@@ -165,7 +155,7 @@ def _leave(s, j, made, out):
     if not s.rigged and lane.end == math.inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     records.note_duration(s, j, left)
-    records.finish(s, j, made, out.answers[r])
+    records.finish(s, j, made, out[r])
 
 
 # --- enter
@@ -176,14 +166,8 @@ def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
     lane = s.lane[j]
     level = rows.level[r]
+    s.lane[j] = s.blank[0]
     lane.number = r
-    lane.count = 0
-    lane.attempts = 0
-    lane.touching = 1
-    lane.fate = GOES_ON
-    lane.single = 0
-    lane.time = 0.0
-    lane.proposed = 1e30
     s.error[j] = s.local
     lane.mass = rows.mass[r]
     s.inverse_mu[j] = 1.0 / rows.mass[r]
@@ -192,11 +176,11 @@ def _enter(s, j, r, rows):
     lane.end = rows.horizon[r]
     lane.pulse_end = rows.pulse_end[r] * (1.0 - 1e-12)
     # first guesses: scales that are too small cost steps, too large ones accuracy
-    s.size[0, j] = level
-    s.size[1, j] = 0.1 * level
-    s.size[2, j] = level
-    s.size[3, j] = 1.0
-    s.size[4, j] = 1.0
+    s.size[j] = level
+    s.u_size[j] = 0.1 * level
+    s.size[LANES + j] = level
+    s.free_size[j] = 1.0
+    s.free_size[LANES + j] = 1.0
     new_faces(s, j, rows.laws[r])
     lane.by_law = follows_law(s, j)
     quickest = 1.0 / rows.mass[r]
@@ -206,10 +190,6 @@ def _enter(s, j, r, rows):
         lightness = rows.poles[r, tracked.POLE_LIGHTNESS, face]
         lane.reflect[face] = rows.ends[r, face]
         lane.trips[face] = rows.round_trips[r, face]
-        lane.head[face] = 0
-        lane.tail[face] = 0
-        lane.first[face] = 0
-        lane.last[face] = 0
         s.gives[m] = rows.poles[r, tracked.POLE_GIVES, face]
         s.lightness[m] = lightness
         s.there[m] = rows.poles[r, tracked.POLE_THERE, face]
@@ -218,9 +198,9 @@ def _enter(s, j, r, rows):
         s.u[0, m] = 0.0
         if s.rigged:
             s.u[0, m] = rows.speed[r]
-            s.size[2 * face, j] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
+            s.size[m] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
             if lightness > 0.0:
-                s.size[3 + face, j] = 0.1 * min(1.0, lightness)
+                s.free_size[m] = 0.1 * min(1.0, lightness)
         lane.touched[face] = 1.0 - s.there[m]
         if s.there[m] > 0.0:
             quickest = max(quickest, lightness)
@@ -228,12 +208,10 @@ def _enter(s, j, r, rows):
     lane.quickest = quickest
     if s.rigged:
         lane.quickest = max(quickest, 1.0) * max(stiffest, 1.0)
-        s.size[1, j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
+        s.u_size[j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     lane.back = min(lane.trips[0], lane.trips[1])
-    lane.steady = -1.0
     if rows.breaks[r, -1] == math.inf and lane.back == math.inf:
         lane.steady = 1.0
-    records.begin(s, j)
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
     lane.stop = incoming.next_break(s, j, rows)
@@ -280,8 +258,8 @@ def _try_step(s, j):
     nearly is.
     """
     lane = s.lane[j]
-    scale = min(s.size[0, j], s.size[2, j])
-    largest = max(s.size[0, j], s.size[2, j])
+    scale = min(s.size[j], s.size[LANES + j])
+    largest = max(s.size[j], s.size[LANES + j])
     if lane.touching:
         # `step_from_touch` errs by a few thousandths of the impulse of the force, 0.4 h^2.5 where
         # the approach rises as the time does
@@ -294,10 +272,10 @@ def _try_step(s, j):
     # impulse by which a step may err because the series of its root has parted from the root
     allowed = math.inf
     if s.mode == FULL:
-        allowed = lane.mass * s.size[1, j]
-    for face in range(2):
-        if s.lightness[face * LANES + j] > 0.0:
-            allowed = min(allowed, s.size[3 + face, j] / s.lightness[face * LANES + j])
+        allowed = lane.mass * s.u_size[j]
+    for m in range(j, PAIR, LANES):
+        if s.lightness[m] > 0.0:
+            allowed = min(allowed, s.free_size[m] / s.lightness[m])
     parts = _APART
     if s.rigged:
         parts = _APART_IN_RIGS
@@ -375,7 +353,7 @@ def _against_branch(s, j):
     for face in range(2):
         m = face * LANES + j
         rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
-        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[2 * face, j]):
+        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[m]):
             wrong |= 1 << face
     return wrong
 
@@ -401,7 +379,7 @@ def _holds(s, j):
     crossed = s.excess[j] > 1.0
     overflowed = not s.theta[j] > 0.0
     left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
-    misfit = left_out > s.error[j] * min(s.size[0, j], s.size[2, j])
+    misfit = left_out > s.error[j] * min(s.size[j], s.size[LANES + j])
     if not (crossed or overflowed or misfit):
         return True
     lane.attempts += 1
@@ -563,46 +541,40 @@ def _judge(s, j):
 def _move_on(s, j, ending):
     """The state at the end of a step, on the branch and with the contact that follow it."""
     lane = s.lane[j]
-    why = lane.why
-    touched = lane.side * LANES + j
-    if ending < s.theta[j]:
-        s.u_end[j] = events.value_of(s.u, j, ending)
-        for m in range(j, PAIR, LANES):
-            s.at[POINTS, m] = events.value_of(s.x, m, ending)
+    side = lane.side * LANES + j
+    closes = s.x[0, side] <= 0.0
+    s.u[0, j] = s.u[0, LANES + j] = events.value_of(s.u, j, ending)
+    for m in range(j, PAIR, LANES):
+        s.x[0, m] = events.value_of(s.x, m, ending)
     lane.touching = 0
     lane.single = 0
-    if why == End.CONTACT:
-        if s.x[0, touched] <= 0.0:
+    if lane.why == End.CONTACT:
+        if closes:
             lane.touching = 1
             lane.touches = lane.touches + 1.0
         else:
             lane.parted = lane.time + ending * s.h[j]
         for m in range(j, PAIR, LANES):
-            if m == touched or s.mode == MASSLESS:  # both faces move alike
-                s.at[POINTS, m] = 0.0
-    elif why == End.BRANCH:
+            if m == side or s.mode == MASSLESS:  # both faces move alike
+                s.x[0, m] = 0.0
+    elif lane.why == End.BRANCH:
         lane.by_law = 1
         s.error[j] = min(s.error[j], s.closer * s.local)
-        before = s.at[POINTS, touched]
-        s.at[POINTS, touched] = switch(s, touched, before)
+        s.x[0, side] = switch(s, side, s.x[0, side])
         if s.mode == MASSLESS:
-            other = LANES + 2 * j - touched
-            switch(s, other, s.at[POINTS, touched])
-            s.at[POINTS, other] = s.at[POINTS, touched]
-    s.x[0, j] = s.at[POINTS, j]
-    s.x[0, LANES + j] = s.at[POINTS, LANES + j]
-    s.u[0, j] = s.u[0, LANES + j] = s.u_end[j]
+            other = LANES + 2 * j - side
+            switch(s, other, s.x[0, side])
+            s.x[0, other] = s.x[0, side]
     if s.rigged:
-        for face in range(2):
-            m = face * LANES + j
+        for m in range(j, PAIR, LANES):
             s.free[0, m] = events.value_of(s.free, m, ending)
-            s.size[3 + face, j] = max(s.size[3 + face, j], abs(s.free[0, m]))
+            s.free_size[m] = max(s.free_size[m], abs(s.free[0, m]))
             # what opens says nothing of the approaches
-            s.size[2 * face, j] = max(s.size[2 * face, j], s.x[0, m])
+            s.size[m] = max(s.size[m], s.x[0, m])
     else:
-        s.size[0, j] = max(s.size[0, j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
-        s.size[2, j] = s.size[0, j]
-    s.size[1, j] = max(s.size[1, j], abs(s.u[0, j]))
+        s.size[j] = max(s.size[j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
+        s.size[LANES + j] = s.size[j]
+    s.u_size[j] = max(s.u_size[j], abs(s.u[0, j]))
     if lane.by_law:
         press_deeper(s, j)
         for face in range(2):

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import literal_unroll
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from .compiled import compiled
@@ -122,50 +123,20 @@ def _sums(k):
     return sums
 
 
-(_1, _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13, _14, _15, _16) = map(
-    _sums, range(1, TERMS)
-)
+#: of every k
+_SUMS = tuple(map(_sums, range(TERMS)))
 
 
 @compiled
 def expand(s, lanes):
     """The series of x, u, free, root and force from their first terms."""
-    for k in range(TERMS):
-        if k == 1:
-            _1(s)
-        elif k == 2:
-            _2(s)
-        elif k == 3:
-            _3(s)
-        elif k == 4:
-            _4(s)
-        elif k == 5:
-            _5(s)
-        elif k == 6:
-            _6(s)
-        elif k == 7:
-            _7(s)
-        elif k == 8:
-            _8(s)
-        elif k == 9:
-            _9(s)
-        elif k == 10:
-            _10(s)
-        elif k == 11:
-            _11(s)
-        elif k == 12:
-            _12(s)
-        elif k == 13:
-            _13(s)
-        elif k == 14:
-            _14(s)
-        elif k == 15:
-            _15(s)
-        elif k == 16:
-            _16(s)
+    k = 0
+    for sums in literal_unroll(_SUMS):
+        sums(s)
         _roots(s, k)
         if k < ORDER:
             _next_terms(s, k, lanes)
+        k += 1  # noqa: SIM113 - no enumeration can be unrolled
 
 
 @compiled
@@ -187,11 +158,11 @@ def reach(s):
         before_b = abs(s.x[p, b])
         last_a = abs(s.x[o, a])
         last_b = abs(s.x[o, b])
-        x_a = s.size[0, a]
-        x_b = s.size[2, a]
-        u = s.size[1, a]
-        v_a = s.size[3, a]
-        v_b = s.size[4, a]
+        x_a = s.size[a]
+        x_b = s.size[b]
+        u = s.u_size[a]
+        v_a = s.free_size[a]
+        v_b = s.free_size[b]
         before = max(max(before_a / x_a, before_b / x_b), abs(s.u[p, a]) / u)
         before = max(before, max(abs(s.free[p, a]) / v_a, abs(s.free[p, b]) / v_b))
         last = max(max(last_a / x_a, last_b / x_b), abs(s.u[o, a]) / u)
@@ -258,7 +229,7 @@ def keep_roots(s):
 
 @compiled
 def survey(s):
-    """Approaches and rates at the nodes of every step, their bounds between them, other ends."""
+    """Approaches and rates at the nodes of every step, and their bounds between them."""
     for c in range(PAIR):
         s.at[0, c] = s.x[0, c]
         s.rate[0, c] = s.x[1, c]
@@ -288,11 +259,6 @@ def survey(s):
             floor = min(floor, min(left, right) + min(bow, 0.0))
         s.top[c] = top
         s.floor[c] = floor
-    for c in range(PAIR):
-        u = s.u[ORDER, c]
-        for k in range(1, TERMS):
-            u = u * s.theta[c] + s.u[ORDER - k, c]
-        s.u_end[c] = u
 
 
 # --- waves that come back

@@ -22,7 +22,7 @@ import math
 
 from . import tracked
 from .compiled import compiled
-from .events import OF_BOTH, approach_of, first_at, highest_between
+from .events import OF_BOTH, approach_of, first_at, follows, highest_between
 from .faces import face_yielded, largest_approach, largest_force, on_virgin_loading, stored_energy
 from .tracked import (
     CELLS,
@@ -357,12 +357,13 @@ def no_later_peak(s, j):
     force = math.sqrt(2.0 * energy)
     if s.mode != LINEAR:
         force = stiffest**0.4 * (2.5 * energy) ** 0.6
-    return not (
-        (wanted & tracked.WANT_DIFFERENCE and force > lane.peak[DIFFERENCE] * slack)
-        or (wanted & tracked.WANT_MEAN and force > lane.peak[MEAN] * slack)
-        or (wanted & tracked.WANT_ENERGY and energy > lane.peak[ENERGY] * slack)
-        or (wanted & tracked.WANT_SHARE and energy > lane.peak[SHARE] * slack)
-    )
+    for kind in range(DIFFERENCE, KINDS):
+        reached = force
+        if kind in (ENERGY, SHARE):
+            reached = energy
+        if follows(s, kind) and reached > lane.peak[kind] * slack:
+            return False
+    return True
 
 
 @compiled
@@ -377,30 +378,6 @@ def note_duration(s, j, left):
         lane.duration = (lane.impulse + left) / lane.peak[MEAN]
         lane.counted = lane.time
         lane.counted_peak = lane.peak[MEAN]
-
-
-@compiled
-def begin(s, j):
-    """Nothing is known yet of the row of a lane."""
-    lane = s.lane[j]
-    for kind in range(KINDS):
-        lane.peak[kind] = 0.0
-    for face in range(2):
-        lane.x_first[face] = 0.0
-        lane.other[face] = 0.0
-        lane.carried[face] = 0.0
-    lane.lost = math.nan
-    lane.ended = math.nan
-    lane.parted = math.nan
-    lane.duration = math.nan
-    lane.grazed = math.nan
-    lane.blur = 0.0
-    lane.unloadings = 0.0
-    lane.touches = 0.0
-    lane.chatter = 0.0
-    lane.impulse = 0.0
-    lane.counted = 0.0
-    lane.counted_peak = 0.0
 
 
 @compiled

@@ -23,10 +23,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Flags, Places, Values, frozen
+from uqsphere.arrays import Array, Places, Values, frozen
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
-from uqsphere.mechanics.scene import STATUS, Scene
+from uqsphere.mechanics.scene import STATUS, Scales, Scene
 
 from . import tracked
 from .compiled import without_collection
@@ -180,7 +180,8 @@ def thread_count(threads: int | None = None) -> int:
 
 def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
     """What the kernel needs of `rows`, in scaled variables."""
-    time = scene.scales.time[rows]
+    scales = Scales._make(column[rows] for column in scene.scales)
+    time = scales.time
     pulse = scene.pulse
     echoing = scene.reflections[rows] != 0.0
     breaks = pulse.breaks[rows] / time[:, None]
@@ -189,8 +190,31 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
     else:  # no wave comes in
         duration = np.ones(len(rows))
+    laws = np.ones((len(rows), tracked.LAWS, 2))
+    laws[:, tracked.LAW_ONSET] = np.inf
+    poles = np.zeros((len(rows), tracked.POLES, 2))
+    for pole, partner in enumerate(scene.partners):
+        if partner is None:
+            continue
+        laws[:, tracked.LAW_STIFFNESS, pole] = partner.hertz_constant[rows] / scales.hertz_constant
+        laws[:, tracked.LAW_SHARE, pole] = partner.share[rows]
+        impedance = partner.impedance[rows] * scales.speed
+        momentum = partner.mass[rows] * scales.speed
+        speed = (1 - 2 * pole) * scene.start[rows, 1 + pole]
+        poles[:, tracked.POLE_GIVES, pole] = scales.force / impedance
+        poles[:, tracked.POLE_LIGHTNESS, pole] = scales.force * time / momentum
+        poles[:, tracked.POLE_SPEED, pole] = speed / scales.speed
+        poles[:, tracked.POLE_THERE, pole] = 1.0
+        if partner.face is not None:
+            face = partner.face.at(rows)
+            own = face.own
+            onset = face.onset_approach / scales.approach
+            softening = np.where(np.abs(face.softening) < 1e-12, 0.0, face.softening)
+            laws[own, tracked.LAW_ONSET, pole] = onset[own]
+            laws[own, tracked.LAW_SOFTENING, pole] = softening[own]
+            laws[own, tracked.LAW_PILE_UP, pole] = face.pile_up[own]
     return {
-        "mass": scene.scales.mass_number[rows],
+        "mass": scales.mass_number,
         "ends": scene.reflections[rows],
         "round_trips": np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
         "breaks": breaks,
@@ -199,162 +223,107 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "horizon": scene.record_end[rows] / time,
         "pulse_end": breaks[:, -1].copy(),
         "level": 0.1 * np.minimum(1.0, duration),
-        "laws": _laws(scene, rows),
-        "poles": _poles(scene, rows),
-        "speed": scene.start[rows, 0] / scene.scales.speed[rows],
+        "laws": laws,
+        "poles": poles,
+        "speed": scene.start[rows, 0] / scales.speed,
     }
 
 
-def _laws(scene: Scene, rows: Places) -> Array:
-    """Laws of both faces in scaled variables, (n, LAWS, 2): see `tracked`; (n, 0, 2): both forces
-    are x^(3/2).
-    """
-    faces = [partner.face if partner else None for partner in scene.partners]
-    if scene.by_wave and faces == [None, None]:
-        return np.zeros((len(rows), 0, 2))
-    laws = tracked.elastic_faces(len(rows))
-    for pole, (partner, face) in enumerate(zip(scene.partners, faces, strict=True)):
-        if partner is None:
-            continue
-        laws[:, tracked.LAW_STIFFNESS, pole] = (
-            partner.hertz_constant / scene.scales.hertz_constant
-        )[rows]
-        laws[:, tracked.LAW_SHARE, pole] = partner.share[rows]
-        if face is not None:
-            own = face.own[rows]
-            b = face.softening[rows]
-            laws[own, tracked.LAW_ONSET, pole] = (face.onset_approach / scene.scales.approach)[
-                rows
-            ][own]
-            laws[own, tracked.LAW_SOFTENING, pole] = np.where(np.abs(b) < 1e-12, 0.0, b)[own]
-            laws[own, tracked.LAW_PILE_UP, pole] = face.pile_up[rows][own]
-    return laws
-
-
-def _poles(scene: Scene, rows: Places) -> Array:
-    """What stands at the poles in scaled variables, (n, POLES, 2): see `tracked`; (n, 0, 2): two
-    bars.
-    """
-    if scene.by_wave:
-        return np.zeros((len(rows), 0, 2))
-    scales = scene.scales
-    poles = np.zeros((len(rows), tracked.POLES, 2))
-    for pole, partner in enumerate(scene.partners):
-        if partner is not None:
-            poles[:, tracked.POLE_GIVES, pole] = (
-                scales.force / (partner.impedance * scales.speed)
-            )[rows]
-            poles[:, tracked.POLE_LIGHTNESS, pole] = (
-                scales.force * scales.time / (partner.mass * scales.speed)
-            )[rows]
-            poles[:, tracked.POLE_SPEED, pole] = (1 - 2 * pole) * (
-                scene.start[:, 1 + pole] / scales.speed
-            )[rows]
-            poles[:, tracked.POLE_THERE, pole] = 1.0
-    return poles
-
-
 @frozen
-class Scaled:
-    """Scaled answers (n,) of the type `tracked.ANSWER`, status (n,) and steps (n,) of n rows.
+class Task:
+    """What is asked of rows that share their structure; every field is one of `tracked.STATE`.
 
-    What was not asked for may be NaN.  `paths`: start, length and states (as of `Motion`) of every
-    row's steps, where they were kept.
+    mode: FULL, LINEAR or MASSLESS.  wanted: bits `tracked.WANT_*`.  tolerance: of the integration.
+    requested: of the answers, where `tolerance` is closer.  has_laws: whether faces differ or may
+    yield.  rigged: whether other partners than bars stand at the poles.  stop_at_loss: whether the
+    record of bars may end at a loss of contact.
     """
 
-    answers: Any
-    status: Places
-    steps: Places
-    paths: tuple[tuple[Array, Array, Array], ...] = ()
+    mode: int = tracked.FULL
+    wanted: int = tracked.WANT_ALL
+    tolerance: float
+    requested: float = 0.0
+    has_laws: bool = True
+    rigged: bool = True
+    stop_at_loss: bool = True
 
 
-def march_rows(
-    arguments: Mapping[str, Array],
-    mode: int,
-    tolerance: float,
-    *,
-    wanted: int = tracked.WANT_ALL,
-    requested: float = 0.0,
-    stop_at_loss: bool = True,
-) -> Scaled:
+def task_of(
+    scene: Scene, fidelity: str, tolerance: float, quantities: Collection[str] | None = None
+) -> Task:
+    """What is asked of the rows of a scene; quantities: all if None."""
+    wanted = wishes(quantities, scene.demands)
+    if scene.by_hertz:
+        wanted &= ~tracked.WANT_SHARE
+    return Task(
+        mode=MODES[fidelity],
+        wanted=wanted,
+        tolerance=tolerance,
+        has_laws=not scene.by_hertz,
+        rigged=not scene.by_wave,
+        stop_at_loss=not scene.whole_record,
+    )
+
+
+def march_rows(arguments: Mapping[str, Array], task: Task) -> tuple[Any, list[Any]]:
     """Run the kernel on all rows of `arguments`, with more room for those that run out of it.
 
-    wanted: bits `tracked.WANT_*`.  requested: the tolerance of the answers, where `tolerance` is
-    closer.
+    Returns the answers (n,), of the type `tracked.ANSWER`, and of a motion that is wanted the steps
+    of every row, (m,) of the type `tracked.PATH`.
     """
-    from .kernel import Answers, Rows, march
+    from .kernel import Rows, march
 
+    wanted = task.wanted
     share = yielded = _LOCAL
     if wanted & tracked.WANT_DIFFERENCE:
         share = _LOCAL_DIFFERENCE
     finite = bool(np.isfinite(arguments["horizon"]).all())
-    rigged = arguments["poles"].shape[1] > 0
-    has_laws = arguments["laws"].shape[1] > 0
-    if not rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_CONTACT) and not finite:
+    if not task.rigged and wanted & tracked.TO_THE_END and not finite:
         share = min(share, _LOCAL_TAIL)
-    if finite and not rigged:
+    if finite and not task.rigged:
         yielded = _LOCAL_YIELDED
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
-    local = share * tolerance
+    local = share * task.tolerance
     power = 2.0 / 3.0
-    if mode != MODES["full"]:
+    if task.mode != tracked.FULL:
         local *= 0.1
-    if mode == MODES["linear"]:
+    if task.mode == tracked.LINEAR:
         power = 1.0
-    keep = wanted & tracked.WANT_MOTION != 0
     echoing = bool(np.isfinite(arguments["round_trips"]).any())
-    n = len(arguments["mass"])
-    columns = dict(arguments)
-    if not has_laws:
-        columns["laws"] = tracked.elastic_faces(n)
-        wanted = wanted & ~tracked.WANT_SHARE
-    if not rigged:
-        columns["poles"] = tracked.two_bars(n)
-    rows = Rows(**columns)
-    out = Answers(empty_answers(n), np.zeros(n, np.int64), np.zeros(n, np.int64))
-    order = np.arange(n)
-    paths = dict[int, tuple[Array, Array, Array]]()
-    settings = {
-        "mode": mode,
-        "wanted": wanted,
-        "has_laws": has_laws,
-        "rigged": rigged,
-        "stop_at_loss": stop_at_loss,
-        "tolerance": tolerance,
+    rows = Rows(**arguments)
+    answers = tracked.empty_answers(len(rows.mass))
+    order = np.arange(len(answers))
+    paths = [np.empty(0, tracked.PATH)] * len(answers)
+    settings = vars(task) | {
         "local": local,
         "closer": min(1.0, yielded / share),
-        "requested": requested,
         "share": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
-        "size": 1.0,
+        **dict.fromkeys(("size", "u_size", "free_size"), 1.0),
         "wrong_allowed": 1.0,
     }
     for capacity in _CAPACITIES:
         state = tracked.empty_lanes()
         for name, value in settings.items():
             state[name] = value
-        state["lane"]["number"] = -1  # lanes without a row
-        state["lane"]["trips"] = np.inf
         state["capacity"] = capacity
         # how many steps are read again: all that there is room for, or the last one alone
         state["ring"] = capacity if wanted & tracked.WHOLE_PATH or echoing else 1
         # not set to anything: only the pages of steps that are taken ever cost memory.  With room
         # for a power of two of steps all lanes would share a few lines of the processor's cache
         made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
-        kept = np.zeros((len(order), capacity if keep else 0), tracked.PATH)
+        kept = np.zeros((len(order), capacity if wanted & tracked.WANT_MOTION else 0), tracked.PATH)
         with without_collection() if not march.signatures else nullcontext():
-            march(rows, order, state, made, kept, out)
-        if keep:
-            for k, row in enumerate(order.tolist()):
-                path = kept[k, : out.steps[row]]
-                paths[row] = path["start"].copy(), path["length"].copy(), path["series"].copy()
-        order = order[out.status[order] == tracked.FULL_ROOM]
+            march(rows, order, state, made, kept, answers)
+        if wanted & tracked.WANT_MOTION:
+            for row, path in zip(order.tolist(), kept, strict=True):
+                paths[row] = path[: answers["steps"][row]].copy()
+        order = order[answers["status"][order] == tracked.FULL_ROOM]
         if len(order) == 0:
             break
-    kept_paths = tuple(path for _, path in sorted(paths.items()))
-    return Scaled(answers=out.answers, status=out.status, steps=out.steps, paths=kept_paths)
+    return answers, paths
 
 
 def integrate(
@@ -364,31 +333,22 @@ def integrate(
     tolerance: float = 1e-6,
     threads: int | None = None,
     quantities: Collection[str] | None = None,
-) -> Scaled:
-    """Integrate a batch in scaled variables; what `quantities` does not name is not followed."""
-    n = len(scene)
-    found = Scaled(
-        answers=empty_answers(n), status=scene.status.copy(), steps=np.zeros(n, dtype=np.int64)
-    )
-    rows = np.flatnonzero(found.status == 0)
-    if len(rows) == 0:
-        return found
-    wanted = wishes(quantities, scene.demands)
-    mode = MODES[fidelity]
+) -> Any:
+    """Scaled answers (n,), of the type `tracked.ANSWER`, of a batch; what `quantities` does not
+    name is not followed.
+    """
+    answers = empty_answers(len(scene))
+    answers["status"] = scene.status
+    rows = np.flatnonzero(scene.status == 0)
     arguments = scaled_arguments(scene, rows)
+    task = task_of(scene, fidelity, tolerance, quantities)
 
     def run(block: slice) -> None:
-        here = rows[block]
         given = {name: column[block] for name, column in arguments.items()}
-        part = look_closer(
-            given, mode, tolerance, wanted=wanted, stop_at_loss=not scene.whole_record
-        )
-        found.answers[here] = part.answers
-        found.status[here] = part.status
-        found.steps[here] = part.steps
+        answers[rows[block]] = look_closer(given, task)
 
     _by_blocks(run, len(rows), _BLOCK, threads)
-    return found
+    return answers
 
 
 def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float = 1e-6) -> Motion:
@@ -421,28 +381,24 @@ def motions(
     They end with the record of the scene, or once none of the `quantities` can change any more.
     """
     arguments = scaled_arguments(scene, rows)
-    wanted = wishes(quantities, scene.demands) | tracked.WANT_MOTION
+    task = task_of(scene, fidelity, tolerance, quantities)
+    task = replace(task, wanted=task.wanted | tracked.WANT_MOTION)
 
     def run(block: slice) -> list[Motion | int]:
-        given = {name: column[block] for name, column in arguments.items()}
-        scaled = march_rows(
-            given,
-            MODES[fidelity],
-            tolerance,
-            wanted=wanted,
-            stop_at_loss=not scene.whole_record,
+        answers, paths = march_rows(
+            {name: column[block] for name, column in arguments.items()}, task
         )
-        courses: list[Motion | int] = scaled.status.tolist()
-        for k in np.flatnonzero(scaled.status == 0).tolist():
-            start, length, states = scaled.paths[k]
+        courses: list[Motion | int] = answers["status"].tolist()
+        for k in np.flatnonzero(answers["status"] == tracked.OK).tolist():
+            series = paths[k]["series"]
             courses[k] = Motion(
                 scene=scene,
                 row=int(rows[block][k]),
-                start=start,
-                length=length,
-                states=states[:, :3],
-                forces=states[:, 3:] if given["laws"].shape[1] else None,
-                end=float(scaled.answers["ended"][k]),
+                start=paths[k]["start"],
+                length=paths[k]["length"],
+                states=series[:, :3],
+                forces=series[:, 3:] if task.has_laws else None,
+                end=float(answers["ended"][k]),
                 fidelity=fidelity,
             )
         return courses
@@ -506,18 +462,11 @@ def solve(
         raise ValueError(
             f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})"
         )
-    found = integrate(
+    answers = integrate(
         scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
     )
-
-    return answers_from(
-        scene,
-        tracked.answer_columns(found.answers),
-        found.status,
-        found.steps,
-        linear=fidelity == "linear",
-        quantities=quantities,
-    )
+    columns = tracked.answer_columns(answers)
+    return answers_from(scene, columns, linear=fidelity == "linear", quantities=quantities)
 
 
 def later_loading(
@@ -561,16 +510,9 @@ _FIRM, _FIRST_LOOK = 10.0, 30.0
 _COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
 
 
-def look_closer(
-    arguments: Mapping[str, Array],
-    mode: int,
-    tolerance: float,
-    *,
-    wanted: int,
-    stop_at_loss: bool = True,
-) -> Scaled:
-    """`march_rows`, and again at ever closer tolerances for the rows whose answers may be worse
-    than `tolerance`.
+def look_closer(arguments: Mapping[str, Array], task: Task) -> Any:
+    """Answers of `march_rows`, and again at ever closer tolerances for the rows whose answers may
+    be worse than that of the task.
 
     `grazed` is then above 0 where the finest tolerance still leaves a doubt: 1 where an error
     of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
@@ -578,35 +520,33 @@ def look_closer(
     from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
     differs by as much between the two finest tolerances that it has room for.
     """
-    n = len(arguments["mass"])
-    ends_at_loss = stop_at_loss and arguments["poles"].shape[1] == 0
-    timed = wanted & (tracked.TO_THE_END if ends_at_loss else tracked.WANT_CONTACT)
-    found = march_rows(
-        arguments, mode, tolerance, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
-    )
-    answers = found.answers
-    status = found.status
-    steps = found.steps
-    closest = np.full(n, tolerance)
-    doubt = np.zeros(n, dtype=bool)
+    wanted = task.wanted
+    tolerance = task.tolerance
+    task = replace(task, requested=tolerance)
+    answers, _ = march_rows(arguments, task)
+    ended = answers["status"] == tracked.OK
+    closest = np.full(len(answers), tolerance)
+    doubt = np.zeros(len(answers), dtype=bool)
+    compared = np.zeros(len(answers), dtype=bool)
+    timed = wanted & tracked.WANT_CONTACT
+    if task.stop_at_loss and not task.rigged:
+        timed = wanted & tracked.TO_THE_END
     strict = wanted & tracked.WANT_CONTACT != 0
     echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
-    many = (status == tracked.OK) & (steps > _MANY_STEPS) & (echoing | summed)
+    many = ended & (answers["steps"] > _MANY_STEPS) & (echoing | summed)
     unsettled = many.copy()
-    counted = np.zeros(n, dtype=bool)
-    compared = np.zeros(n, dtype=bool)
-    if wanted & tracked.WANT_DURATION and arguments["poles"].shape[1] == 0:
-        counted = (status == tracked.OK) & _counts_on(answers)
+    # rows whose duration counts contacts behind their first loss
+    behind = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
+    counted = ended & behind & (wanted & tracked.WANT_DURATION != 0 and not task.rigged)
     free = _COMPARED - tracked.WISHES.keys()
     columns = free | {name for name in _COMPARED - free if wanted & tracked.WISHES[name]}
     while True:
         if timed:
             lost = np.nan_to_num(answers["contact"])
-            grazed = answers["grazed"]
             blur = answers["blur"] * np.where((closest == tolerance) & strict, _FIRST_LOOK, 1.0)
-            moved = np.fmax(lost - grazed, blur)
-            doubt = (status == tracked.OK) & (moved > _FIRM * tolerance * lost)
+            moved = np.fmax(lost - answers["grazed"], blur)
+            doubt = ended & (moved > _FIRM * tolerance * lost)
         again = (unsettled | doubt | (counted & ~compared)) & (closest > _FINEST)
         if not again.any():
             break
@@ -614,31 +554,20 @@ def look_closer(
             picked = np.flatnonzero(again & (closest == each))
             closer = max(_CLOSER * each, _FINEST)
             some = {name: column[picked] for name, column in arguments.items()}
-            look = march_rows(
-                some, mode, closer, wanted=wanted, requested=tolerance, stop_at_loss=stop_at_loss
-            )
-            closest[picked] = closer
+            look, _ = march_rows(some, replace(task, tolerance=closer))
             # one that has no room for so many steps keeps the answers that it has
-            done = look.status == tracked.OK
+            done = look["status"] == tracked.OK
+            closest[picked] = np.where(done, closer, _FINEST)
             before = tracked.answer_columns(answers[picked])
             differs = {
                 name: np.abs(column - before[name]) > _FIRM * tolerance * np.abs(column)
-                for name, column in tracked.answer_columns(look.answers).items()
+                for name, column in tracked.answer_columns(look).items()
             }
             compared[picked] = True
             unsettled[picked] = many[picked] & (
                 ~done | np.any([differs[name] for name in columns], axis=0)
             )
             counted[picked] &= ~done | differs["duration"]
-            answers[picked[done]] = look.answers[done]
-            steps[picked[done]] = look.steps[done]
-            closest[picked[~done]] = _FINEST
+            answers[picked[done]] = look[done]
     answers["grazed"] = np.where(unsettled, 2.0, doubt | counted)
-    return replace(found, answers=answers)
-
-
-def _counts_on(answers: Any) -> Flags:
-    """Rows whose duration counts contacts behind their first loss."""
-    lost = answers["contact_censored"] == 0.0
-    behind = answers["counted"] > answers["contact"]
-    return np.asarray(lost & behind)
+    return answers

@@ -53,7 +53,8 @@ class End(IntEnum):
     BRANCH = 3
 
 
-#: status of a row
+#: status of a row; of one that is not done the first
+GOES_ON = -1
 OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL_ROOM, NOT_FINITE = range(7)
 NEVER_CLOSES, STILL_PRESSED = 11, 12
 
@@ -83,6 +84,8 @@ FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
 #: what a row comes to, scaled, one field a line; of faces A and B each where it has two numbers
 ANSWER = np.dtype(
     [
+        ("status", "i8"),  # OK if it has answers
+        ("steps", "i8"),  # taken
         ("x", "f8", 2),  # largest approach
         ("x_first", "f8", 2),  # that before the first echo
         ("other", "f8", 2),  # force of the other face at the peak of this one
@@ -214,6 +217,16 @@ LANE = np.dtype(
         ("unloadings", "f8"),  # of faces that yield; switch
     ]
 )
+#: fields of a lane that do not begin at zero
+_AT_START = {
+    "number": -1,
+    "fate": GOES_ON,
+    "trips": np.inf,
+    "proposed": 1e30,
+    "touching": 1,
+    "steady": -1.0,
+    **dict.fromkeys(("lost", "ended", "parted", "duration", "grazed"), np.nan),
+}
 _LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
 #: all lanes, and columns that go through vector instructions: (LANES,) of lanes; (PAIR,) of faces,
 #: the faces A of all lanes first
@@ -226,7 +239,9 @@ STATE = np.dtype(
         ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echo
         ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
         ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep, move_on
-        ("size", "f8", (5, LANES)),  # scales of x_1, u, x_2, U_A, U_B; enter, move_on
+        ("size", "f8", _FACE),  # scale of x; enter, move_on
+        ("u_size", "f8", _LANE),  # of u; enter, move_on
+        ("free_size", "f8", _FACE),  # of U; enter, move_on
         ("wrong_allowed", "f8", _LANE),  # impulse by which a root may be off; try_step, choose
         # the waves
         ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
@@ -280,7 +295,6 @@ STATE = np.dtype(
         ("rate", "f8", (POINTS + 1, PAIR)),  # their derivatives by theta; survey
         ("top", "f8", _FACE),  # bound of an approach above; survey
         ("floor", "f8", _FACE),  # and below; survey
-        ("u_end", "f8", _FACE),  # u at the step's end; survey
         # room to work on one lane
         ("work", "f8", WAVE),  # values of an echo; read_echo
         ("now", "f8", 5),  # x_1, x_2, u, U_A, -U_B after a touch; step_from_touch
@@ -295,6 +309,7 @@ STATE = np.dtype(
         ("cell_shift", "f8", 2),  # t_c; round trips since it was bounded; records
         ("cell_weight", "f8", 2),  # what the reflections have left of it; records
         # of all rows, from march_rows
+        ("blank", LANE, 1),  # a lane before a row enters it
         ("mode", "i8"),  # FULL, LINEAR or MASSLESS
         ("wanted", "i8"),  # bits WANT_*
         ("ring", "i8"),  # steps that are read again, a power of two
@@ -313,29 +328,24 @@ STATE = np.dtype(
 
 
 def empty_lanes() -> Any:
-    """One STATE (1,) of zeros, which begins where a line of the processor's cache does."""
+    """One STATE (1,) of blank lanes and zeros, which begins where a line of the processor's cache
+    does.
+    """
     line = 64
     room = np.zeros(STATE.itemsize + line, np.uint8)
-    return room[-room.ctypes.data % line :][: STATE.itemsize].view(STATE)
-
-
-def elastic_faces(rows: int) -> Array:
-    """Laws (rows, LAWS, 2) of faces that do not yield and are alike."""
-    laws = np.ones((rows, LAWS, 2))
-    laws[:, LAW_ONSET] = np.inf
-    return laws
-
-
-def two_bars(rows: int) -> Array:
-    """Poles (rows, POLES, 2) of two bars."""
-    poles = np.zeros((rows, POLES, 2))
-    poles[:, [POLE_GIVES, POLE_THERE]] = 1.0
-    return poles
+    state = room[-room.ctypes.data % line :][: STATE.itemsize].view(STATE)
+    for name, value in _AT_START.items():
+        state["blank"][name] = value
+    state["lane"] = state["blank"]
+    return state
 
 
 def empty_answers(rows: int) -> Any:
-    """Room for the answers of `rows` rows, not a number until a row is done."""
-    return np.full(rows, np.nan, ANSWER)
+    """Room for the answers of `rows` rows, not numbers until a row is done."""
+    answers = np.zeros(rows, ANSWER)
+    for name in set(ANSWER.names or ()) - {"status", "steps"}:
+        answers[name] = np.nan
+    return answers
 
 
 def answer_columns(answers: Any) -> dict[str, Array]:
