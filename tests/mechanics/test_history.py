@@ -113,7 +113,9 @@ def test_the_instants_asked_for_do_not_change_the_answer(example):
 def test_pressure_over_the_contact(example):
     _, history = example
     peak = int(np.argmax(history.pressure_b))
-    radius = float(contact.contact_radius(history.approach_b[peak], history.effective_radius))
+    radius = float(
+        contact.contact_radius(history.approach_b[peak], history.motion.scales.effective_radius)
+    )
     field = history.pressure_over_contact([0.0, 0.6 * radius, radius, 1.01 * radius], "B")
     assert field.shape == (len(history.time), 4)
     np.testing.assert_allclose(field[:, 0], history.pressure_b, rtol=1e-12)

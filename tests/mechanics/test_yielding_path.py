@@ -45,7 +45,7 @@ def test_converged_scenes(case):
         scene.reflections < 0.0
     ).any():  # the record goes on behind the first loss, the case does not
         scene = replace(scene, horizon=wanted["contact_time"] * (1.0 + 1e-9))
-    found = solve.integrate(scene, threads=1)
+    found = integrated(scene)
     answers, faces, scale = found[0], scene.struck.face, scene.scales
     assert answers["status"] == 0
     depth = answers["x"] * scale.approach / faces.onset_approach
@@ -72,6 +72,12 @@ def test_converged_scenes(case):
         assert answers["contact"] * scale.time[0] == pytest.approx(wanted["contact_time"], rel=1e-7)
 
 
+def integrated(scene: Scene, tolerance: float = 1e-6, threads: int = 1):
+    """Scaled answers of a batch."""
+    task = solve.task_of(scene, "full", tolerance)
+    return solve.integrate(scene, task, threads=threads)
+
+
 def granite_rows(**law: float) -> Scene:
     rng = np.random.default_rng(3)
     numbers = {
@@ -89,8 +95,8 @@ def granite_rows(**law: float) -> Scene:
 
 
 def test_what_never_yields_has_the_bits_of_hertz():
-    elastic = solve.integrate(granite_rows(), threads=1)
-    hard = solve.integrate(granite_rows(onset_pressure=50e9, hardness=90e9, pile_up=2.0), threads=1)
+    elastic = integrated(granite_rows())
+    hard = integrated(granite_rows(onset_pressure=50e9, hardness=90e9, pile_up=2.0))
     assert np.array_equal(hard["steps"], elastic["steps"])
     yields, columns = map(tracked.answer_columns, (hard, elastic))
     moments = {"contact", "contact_censored", "ended", "grazed"}
@@ -104,11 +110,11 @@ def test_what_never_yields_has_the_bits_of_hertz():
 def test_a_row_that_yields_depends_on_nothing_but_the_row():
     law = {"onset_pressure": 1.3344e9, "hardness": 2.36856e9, "pile_up": 8.0 / 3.0}
     whole = granite_rows(**law)
-    together = solve.integrate(whole, threads=2)
+    together = integrated(whole, threads=2)
     assert (together["unloadings"] > 0.0).sum() > 20
     for rows in (np.arange(7, 19), np.array([31, 4, 22])):
         some = replace(whole, columns={key: column[rows] for key, column in whole.columns.items()})
-        alone = solve.integrate(some, threads=1)
+        alone = integrated(some)
         assert alone.tobytes() == together[rows].tobytes()
 
 
@@ -138,7 +144,7 @@ def test_a_fall_that_is_over_before_the_next_point_of_a_step_is_seen():
     )
     for name in names:
         assert rough.values[name] == pytest.approx(fine.values[name], rel=1e-7), name
-    counted = [solve.integrate(scene, tolerance=tolerance, threads=1) for tolerance in (1e-6, 1e-9)]
+    counted = [integrated(scene, tolerance) for tolerance in (1e-6, 1e-9)]
     assert {one["unloadings"][0] for one in counted} == {69.0}
 
 

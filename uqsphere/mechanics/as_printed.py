@@ -126,13 +126,13 @@ def compare_with_paper(scene: Scene, *, tolerance: float = 1e-8) -> tuple[PaperV
         shape = "step"
     corrected = solve_closed(_in_infinite_bars(scene, shape, horizon), "massless")
     full = solve(scene, tolerance=tolerance)
-    scales = _scales_of(scene)
+    scales = scene.scales.at(0)
     speed = float(scene.columns["striker.speed"][0])
     # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
-    alpha = (0.5 * speed * scales["impedance"] / scales["hertz_constant"]) ** (2.0 / 3.0)
+    alpha = (0.5 * speed * scales.impedance / scales.hertz_constant) ** (2.0 / 3.0)
     # (5.1), (5.3) with 1/E* = pi (k0 + k), (5.4)
-    radius = math.sqrt(alpha * scales["effective_radius"])
-    force = (4.0 / 3.0) * scales["modulus"] * alpha * radius
+    radius = math.sqrt(alpha * scales.effective_radius)
+    force = (4.0 / 3.0) * scales.modulus * alpha * radius
     pressure = 1.5 * force / (math.pi * radius**2)
     duration = contact_duration(alpha, speed)
     loss = _LOSS
@@ -182,11 +182,11 @@ def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) ->
 
 def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -> list[PaperValue]:
     """Approaches at single instants, and the plateau of the linear contact."""
-    scales = _scales_of(scene)
-    time = scales["time"]
-    theta = scales["duration"] / time
-    impedance = scales["impedance"]
-    beta = scales["hertz_constant"]
+    scales = scene.scales.at(0)
+    time = scales.time
+    theta = scales.duration / time
+    impedance = scales.impedance
+    beta = scales.hertz_constant
     course = motion(scene, 0, tolerance=tolerance)
 
     def at(key: str, name: str, s: float, printed: Values, note: str) -> PaperValue:
@@ -234,11 +234,6 @@ def _number(answers: SceneAnswers, quantity: str) -> float | None:
     return float(answers.values[quantity][0])
 
 
-def _scales_of(scene: Scene) -> dict[str, float]:
-    """Scale factors of the only row."""
-    return {name: float(column[0]) for name, column in scene.scales._asdict().items()}
-
-
 def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:
     """The scene with an ideal pulse in infinite bars, for a striker of the bars' material."""
     columns = {
@@ -262,7 +257,7 @@ def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:
 
 def _settled(scene: Scene, tolerance: float) -> float:
     """Approach [m] of the full model at the end of an endless step in infinite bars."""
-    scales = _scales_of(scene)
-    horizon = _SETTLED * max(1.0, scales["mass_number"]) * scales["time"]
+    scales = scene.scales.at(0)
+    horizon = _SETTLED * max(1.0, scales.mass_number) * scales.time
     course = motion(_in_infinite_bars(scene, "step", horizon), 0, tolerance=tolerance)
     return float(course.states_at(np.array([horizon]))[0, :2].mean())

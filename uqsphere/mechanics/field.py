@@ -74,8 +74,7 @@ def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int
 
 
 def _pulse(motion: Motion, times: Array) -> Values:
-    speed = motion.scene.scales.speed[motion.row]
-    return speed * pulse_value(motion.scene.pulse, motion.row, times)
+    return motion.scales.speed * pulse_value(motion.scene.pulse, motion.row, times)
 
 
 # --- Stress and particle velocity anywhere in both bars, by the method of characteristics.  The
@@ -124,7 +123,7 @@ def field_at(
     delay = position / motion.wave_speed
     towards = arriving(motion, number, times + delay, sides=sides)
     away = leaving(motion, number, times - delay, sides=sides)
-    density = motion.scene.columns["bars.density"][motion.row]
+    _, density = motion.material
     stress = density * motion.wave_speed * _pull(number, away, towards)
     return Field(stress, towards + away)
 
@@ -141,7 +140,7 @@ def check_position(motion: Motion, bar: str, position: Values) -> int:
     if bar not in BARS:
         raise ValueError(f"unknown bar {bar!r} (allowed: {', '.join(BARS)})")
     number = BARS.index(bar)
-    length = 0.5 * motion.wave_speed * motion.round_trip(number)
+    length = motion.bar_length(number)
     position = np.ravel(position)
     outside = ~((position >= 0.0) & (position <= length * (1.0 + _ROUNDING)))
     if outside.any():
@@ -209,7 +208,7 @@ def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Te
     """
     number = BARS.index(bar)
     share = tension_level(motion) if share is None else share
-    level = share * motion.scene.scales.speed[motion.row]
+    level = share * motion.scales.speed
     trip = motion.round_trip(number) * (1.0 + _ROUNDING)
     nodes = _search_times(motion, number)
     away = leaving(motion, number, nodes)
@@ -307,7 +306,8 @@ def gauge_strain(
     (docs/errata.md).
     """
     stress = field_at(motion, bar, position, times, sides=sides).stress
-    return stress / motion.scene.columns["bars.E"][motion.row]
+    E, _ = motion.material
+    return stress / E
 
 
 def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 2000) -> GaugeRecord:
@@ -357,7 +357,7 @@ def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
 
 def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:
     """Default gauges: midway along each bar with a length, as in the paper."""
-    halves = (0.25 * motion.wave_speed * motion.round_trip(number) for number in (0, 1))
+    halves = (0.5 * motion.bar_length(number) for number in (0, 1))
     return tuple(pair for pair in zip(BARS, halves, strict=True) if np.isfinite(pair[1]))
 
 

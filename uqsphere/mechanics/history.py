@@ -9,14 +9,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values, frozen, quiet
 from uqsphere.errors import UsageError
 
-from . import bars, contact
+from . import contact
 from .field import (
     BARS,
     GaugeRecord,
@@ -25,6 +25,7 @@ from .field import (
     field_grid,
     first_tension,
     force_imbalance,
+    gauge_strain,
     leaving,
     with_jumps,
 )
@@ -84,8 +85,7 @@ class History:
     first_peak, later_peak: peak contact pressure in the evaluation window and after it.
     record_end, horizon: ends of the evaluation window of the quantities, and of this history.
     mass_number, pulse_number: mu and theta of theory (10).
-    modulus, effective_radius, hertz_constant: for `pressure_over_contact`.
-    motion: the integrated scene, for `field`.
+    motion: the integrated scene, for `field` and `pressure_over_contact`.
     gauges: of the study, or one midway along each bar; empty from `trace` itself.
     """
 
@@ -108,9 +108,6 @@ class History:
     horizon: float
     mass_number: float
     pulse_number: float
-    modulus: float
-    effective_radius: float
-    hertz_constant: float
     fidelity: str
     motion: Motion = field(repr=False, compare=False)
     gauges: tuple[GaugeRecord, ...] = field(default=(), repr=False, compare=False)
@@ -140,10 +137,11 @@ class History:
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Values:
         """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""
         force = {"A": self.force_a, "B": self.force_b}[face]
-        approach = contact.approach_at_force(force, self.hertz_constant)[:, None]
+        scales = self.motion.scales
+        approach = contact.approach_at_force(force, scales.hertz_constant)[:, None]
         distance = np.array(distance, dtype=float, ndmin=1)
         return contact.pressure_over_contact(
-            distance, approach, self.modulus, self.effective_radius
+            distance, approach, scales.modulus, scales.effective_radius
         )
 
 
@@ -191,8 +189,6 @@ def trace(
         both = itertools.product((arriving, leaving), (0, 1))
         waves = [wave(course, bar, times, sides=sides) for wave, bar in both]
     incident, returning, leaving_a, leaving_b = waves
-    names = ("mass_number", "pulse_number", "modulus", "effective_radius", "hertz_constant")
-    numbers: dict[str, Any] = {name: float(getattr(scene.scales, name)[row]) for name in names}
     return History(
         time=times,
         approach_a=approaches[0],
@@ -207,7 +203,8 @@ def trace(
         returning=returning,
         leaving_a=leaving_a,
         leaving_b=leaving_b,
-        **numbers,
+        mass_number=float(course.scales.mass_number),
+        pulse_number=float(course.scales.pulse_number),
         changes=changes,
         first_peak=first,
         later_peak=later,
@@ -371,38 +368,26 @@ def equilibrium(history: History, level: float = 0.05) -> float | None:
 # --- the rod of a load cell -----------------------------------------------------------------------
 
 
-def _rod(course: Motion) -> tuple[float, float]:
-    """Wave speed [m/s] and length [m] of the rod or bar ahead of the sphere; 0 without one."""
-    partner = course.scene.partners[1]
-    if partner.kind != "bar":
-        return 0.0, 0.0
-    E, density = (column[course.row] for column in course.scene.numbers(partner.table, "E density"))
-    speed = float(bars.wave_speed(E, density))
-    return speed, 0.5 * speed * course.round_trip(1)
-
-
 def rod_length(course: Motion) -> float:
     """Length of the rod ahead of the sphere [m]; infinite without a reflection, 0 without a rod."""
-    return 0.0 if course.scene.by_wave else _rod(course)[1]
+    if course.scene.by_wave or course.scene.partners[1].kind != "bar":
+        return 0.0
+    return course.bar_length(1)
 
 
 def rod_record(course: Motion, position: float, times: Array) -> GaugeRecord:
     """The signal of a gauge at `position` [m] along the rod, at times (m,) [s], tension positive.
 
     The wave that leaves the contact is g(t) = P_B(t)/Z + R g(t - T); with the reflected wave the
-    strain at x is eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0.  Before the first reflection this
-    is (R17), F = -E A eps(t + x/c0).
+    strain at x is eps = -g(t - x/c0)/c0 + R g(t - T + x/c0)/c0, as in a receiving bar.  Before the
+    first reflection this is (R17), F = -E A eps(t + x/c0).
 
     Raises ValueError for a position beyond the end of the rod.
     """
-    speed, length = _rod(course)
+    length = rod_length(course)
     if not 0.0 <= position <= length:
         raise ValueError(f"the gauge must be on the rod, at most {length:.4g} m from the sphere")
-    delay = position / speed
-    away = leaving(course, 1, times - delay)
-    towards = arriving(course, 1, times + delay)
-    strain = (towards - away) / speed
-    return GaugeRecord("rod", position, times, strain)
+    return GaugeRecord("rod", position, times, gauge_strain(course, "receiving", position, times))
 
 
 # --- the bars over place and time -----------------------------------------------------------------
@@ -437,7 +422,7 @@ def view_field(history: History, *, places: int, times: int) -> FieldView:
     echo = max((trip for bar, trip in enumerate(trips) if course.echoes(bar)), default=0.0)
     last = min(max(1.15 * history.record_end, 1.1 * echo), history.horizon)
     last = min(last, 2.2 * echo if echo else 6.0 * course.pulse_end)
-    left, right = (min(0.5 * speed * trip, 1.2 * speed * last) for trip in trips)
+    left, right = (min(course.bar_length(bar), 1.2 * speed * last) for bar in (0, 1))
     begin = -left / speed
     x = -left + (np.arange(places) + 0.5) / places * (left + right)
     t = begin + (np.arange(times) + 0.5) / times * (last - begin)

@@ -77,20 +77,24 @@ class Scales(NamedTuple):
     A.
     """
 
-    modulus: Array
-    effective_radius: Array
-    hertz_constant: Array
-    mass: Array
-    impedance: Array
-    force: Array
-    approach: Array
-    time: Array
-    mass_number: Array
-    duration: Array
-    speed: Array
+    modulus: Values
+    effective_radius: Values
+    hertz_constant: Values
+    mass: Values
+    impedance: Values
+    force: Values
+    approach: Values
+    time: Values
+    mass_number: Values
+    duration: Values
+    speed: Values
+
+    def at(self, rows: int | Places) -> Scales:
+        """Those of some rows, or of one."""
+        return Scales._make(column[rows] for column in self)
 
     @property
-    def pulse_number(self) -> Array:
+    def pulse_number(self) -> Values:
         """theta = t_i/t_c."""
         return self.duration / self.time
 

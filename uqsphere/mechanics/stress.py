@@ -64,34 +64,24 @@ def ratio(name: str, contact_ratio: Values, nu: Values, modulus: float | None = 
     contact_ratio, nu : a/r and Poisson ratio of the rows, (n,) or numbers.
     modulus : Weibull modulus m of three-way tables.
     """
-    coefficients = load_table(name)
-    if modulus is None:
-        return _evaluated([coefficients], contact_ratio, nu, POISSON)[0]
-    inverse = _unit(1.0 / modulus, 1.0 / MODULUS[1], 1.0 / MODULUS[0])
-    weights = chebvander(inverse, coefficients.shape[2] - 1)[0]
-    return _evaluated([coefficients @ weights], contact_ratio, nu, POISSON_WEIBULL)[0]
-
-
-def _evaluated(
-    matrices: list[Array],
-    contact_ratio: Values,
-    nu: Values,
-    bounds: tuple[float, float],
-) -> list[Array]:
-    """exp of the sums of several matrices of one shape at the same rows."""
+    matrix = load_table(name)
+    bounds = POISSON
+    if modulus is not None:
+        inverse = _unit(1.0 / modulus, 1.0 / MODULUS[1], 1.0 / MODULUS[0])
+        matrix = matrix @ chebvander(inverse, matrix.shape[2] - 1)[0]
+        bounds = POISSON_WEIBULL
     parts = np.broadcast_arrays(contact_ratio, nu)
     a, v = (part.ravel() for part in parts)
     low, high = np.log(CONTACT_RATIO)
-    degree_a, degree_v = np.subtract(matrices[0].shape, 1)
-    out = [np.empty(len(a)) for _ in matrices]
+    degree_a, degree_v = np.subtract(matrix.shape, 1)
+    out = np.empty(len(a))
     for start in range(0, len(a), _CHUNK):
         piece = slice(start, start + _CHUNK)
         logarithm = np.log(np.maximum(_whole(a[piece]), 1e-300))
         first = chebvander(_unit(logarithm, low, high), degree_a)
         second = chebvander(_unit(_whole(v[piece]), *bounds), degree_v)
-        for matrix, column in zip(matrices, out, strict=True):
-            column[piece] = np.einsum("nj,nj->n", first @ matrix, second)[: len(column[piece])]
-    return [np.exp(column).reshape(parts[0].shape) for column in out]
+        out[piece] = np.einsum("nj,nj->n", first @ matrix, second)[: len(out[piece])]
+    return np.exp(out).reshape(parts[0].shape)
 
 
 def _whole(piece: Array) -> Array:
@@ -119,9 +109,8 @@ def core_ratio(contact_ratio: Values, nu: Values) -> tuple[Array, Array]:
     0.0099 0.219
     """
     inside = np.clip(contact_ratio, *CONTACT_RATIO)
-    tables = [load_table(name) for name in ("core", "core_depth")]
-    value, depth = _evaluated(tables, contact_ratio, nu, POISSON)
-    square = 1.0 - inside * depth
+    value = ratio("core", contact_ratio, nu)
+    square = 1.0 - inside * ratio("core_depth", contact_ratio, nu)
     tension = np.where(square > 0.0, value, centre_ratio(inside, np.clip(nu, *POISSON)))
     return tension, 1.0 - np.sqrt(np.maximum(square, 0.0))
 

@@ -290,24 +290,6 @@ def _highest(s, j, kind, end, highest):
 
 
 @compiled
-def may_end(s, j):
-    """Whether a contact or a branch may change in the step of a lane, or the record end."""
-    lane = s.lane[j]
-    for face in range(2):
-        m = face * LANES + j
-        if s.x[0, m] > 0.0:
-            if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
-                return True
-        elif s.top[m] > 0.0:
-            return True
-        if s.has_laws:
-            largest = (s.largest[m] - s.dent[m]) * (1.0 - ARMED)
-            if s.spring[m] == 0.0 or s.top[m] >= largest:
-                return True
-    return max(s.floor[j], s.floor[LANES + j]) < lane.low
-
-
-@compiled
 def _first_event(s, j):
     """theta at which the step of a lane ends, and why: its series, a contact or a branch that
     changes.
@@ -438,6 +420,8 @@ def _note_graze(s, j, m, ends):
 @compiled
 def _both_below(s, j, level, end):
     """First theta in [0, end] at which both approaches lie below `level`, or inf."""
+    if max(s.floor[j], s.floor[LANES + j]) >= level:
+        return math.inf
     at = 0.0
     for _ in range(8 * POINTS):
         before = at
@@ -458,19 +442,16 @@ def after_step(s, j):
     lane.why and lane.side receive what ends it.
     """
     lane = s.lane[j]
-    ends = s.theta[j]
-    eventful = may_end(s, j)
-    if eventful:
-        ends = _first_event(s, j)
-        if ends < s.theta[j]:
-            for i in range(POINTS + 1):
-                for m in range(j, PAIR, LANES):
-                    s.at[i, m], s.rate[i, m] = approach_of(s, m, ends * i / POINTS)
+    ends = _first_event(s, j)
+    if ends < s.theta[j]:
+        for i in range(POINTS + 1):
+            for m in range(j, PAIR, LANES):
+                s.at[i, m], s.rate[i, m] = approach_of(s, m, ends * i / POINTS)
     _note_approaches(s, j, ends)
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
             lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
-    if eventful and lane.low > 0.0:  # the record ends below a share of the largest approach
+    if lane.low > 0.0:  # the record ends below a share of the largest approach
         if not lane.by_law:
             lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
         at = _both_below(s, j, lane.low, ends)

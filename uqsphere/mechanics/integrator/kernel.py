@@ -175,16 +175,14 @@ def _enter(s, j, r, rows):
         s.inverse_mu[j] = 0.0
     lane.end = rows.horizon[r]
     lane.pulse_end = rows.pulse_end[r] * (1.0 - 1e-12)
-    # first guesses: scales that are too small cost steps, too large ones accuracy
-    s.size[j] = level
-    s.u_size[j] = 0.1 * level
-    s.size[LANES + j] = level
-    s.free_size[j] = 1.0
-    s.free_size[LANES + j] = 1.0
     new_faces(s, j, rows.laws[r])
     lane.by_law = follows_law(s, j)
-    quickest = 1.0 / rows.mass[r]
-    stiffest = 0.0
+    quickest = max(1.0 / rows.mass[r], 1.0)
+    stiffest = 1.0
+    # first guesses: scales that are too small cost steps, too large ones accuracy
+    s.u_size[j] = 0.1 * level
+    if s.rigged:
+        s.u_size[j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     for face in range(2):
         m = face * LANES + j
         lightness = rows.poles[r, tracked.POLE_LIGHTNESS, face]
@@ -195,20 +193,15 @@ def _enter(s, j, r, rows):
         s.there[m] = rows.poles[r, tracked.POLE_THERE, face]
         s.free[0, m] = rows.poles[r, tracked.POLE_SPEED, face]
         s.x[0, m] = 0.0
-        s.u[0, m] = 0.0
-        if s.rigged:
-            s.u[0, m] = rows.speed[r]
-            s.size[m] *= min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
-            if lightness > 0.0:
-                s.free_size[m] = 0.1 * min(1.0, lightness)
+        s.u[0, m] = rows.speed[r]
+        s.size[m] = level * min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
+        s.free_size[m] = 1.0
+        if lightness > 0.0:
+            s.free_size[m] = 0.1 * min(1.0, lightness)
         lane.touched[face] = 1.0 - s.there[m]
-        if s.there[m] > 0.0:
-            quickest = max(quickest, lightness)
-            stiffest = max(stiffest, s.stiffness[m])
-    lane.quickest = quickest
-    if s.rigged:
-        lane.quickest = max(quickest, 1.0) * max(stiffest, 1.0)
-        s.u_size[j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
+        quickest = max(quickest, lightness)
+        stiffest = max(stiffest, s.stiffness[m])
+    lane.quickest = quickest * stiffest
     lane.back = min(lane.trips[0], lane.trips[1])
     if rows.breaks[r, -1] == math.inf and lane.back == math.inf:
         lane.steady = 1.0
@@ -456,24 +449,21 @@ def _give_out(s, j, ending, path):
     lane = s.lane[j]
     path.start = lane.time
     path.length = ending * s.h[j]
-    power = 1.0
-    k_of = LANES + j
-    for k in range(TERMS):
-        path.series[0, k] = s.x[k, j] * power
-        path.series[1, k] = s.x[k, k_of] * power
-        path.series[2, k] = s.u[k, j] * power
-        path.series[3, k] = s.force[k, j] * power
-        path.series[4, k] = s.force[k, k_of] * power
-        power *= ending
-    for face in range(2 if s.has_laws else 0):
-        # the series of a force ends a power of the step before that of its approach: what is left
-        # out at the end of the step goes to the last term, which errs by a fortieth of it inside
+    for face in range(2):
         m = face * LANES + j
-        left_out = face_force(s, m, events.value_of(s.x, m, ending))[0] - events.value_of(
-            s.force, m, ending
-        )
-        path.series[3 + face, TERMS - 1] += left_out
-        path.series[face, 0] += s.dent[m]
+        power = 1.0
+        for k in range(TERMS):
+            path.series[face, k] = s.x[k, m] * power
+            path.series[2, k] = s.u[k, m] * power
+            path.series[3 + face, k] = s.force[k, m] * power
+            power *= ending
+        if s.has_laws:
+            # the series of a force ends a power of the step before that of its approach: what is
+            # left out at the end of the step goes to the last term, which errs by a fortieth of it
+            # inside
+            force, _ = face_force(s, m, events.value_of(s.x, m, ending))
+            path.series[3 + face, TERMS - 1] += force - events.value_of(s.force, m, ending)
+            path.series[face, 0] += s.dent[m]
 
 
 @compiled(inline=True)

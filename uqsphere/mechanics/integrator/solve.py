@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cached_property
 from itertools import chain
 from typing import Any, TypeVar
 
@@ -30,7 +31,6 @@ from uqsphere.mechanics.scene import STATUS, Scales, Scene
 
 from . import tracked
 from .compiled import without_collection
-from .tracked import empty_answers
 
 Result = TypeVar("Result")
 
@@ -74,10 +74,15 @@ class Motion:
     fidelity: str = "full"
     forces: Array | None = None
 
+    @cached_property
+    def scales(self) -> Scales:
+        """Scale factors of the row, numbers."""
+        return self.scene.scales.at(self.row)
+
     @property
     def unit(self) -> float:
         """t_c [s], in which start, length and end are given."""
-        return float(self.scene.scales.time[self.row])
+        return float(self.scales.time)
 
     @property
     def horizon(self) -> float:
@@ -85,17 +90,20 @@ class Motion:
         return self.end * self.unit
 
     @property
+    def material(self) -> list[float]:
+        """E [Pa] and density [kg/m³] of the bars, or of the rod ahead of the sphere."""
+        table = self.scene.partners[1].table
+        return [float(column[self.row]) for column in self.scene.numbers(table, "E density")]
+
+    @property
     def wave_speed(self) -> float:
         """c0 of the bars [m/s]."""
-        columns = self.scene.columns
-        return float(
-            bars.wave_speed(columns["bars.E"][self.row], columns["bars.density"][self.row])
-        )
+        return float(bars.wave_speed(*self.material))
 
     @property
     def impedance(self) -> float:
         """Z of the bars [kg/s]."""
-        return float(self.scene.scales.impedance[self.row])
+        return float(self.scales.impedance)
 
     @property
     def pulse_end(self) -> float:
@@ -105,6 +113,10 @@ class Motion:
     def round_trip(self, bar: int) -> float:
         """Round trip of a bar (0 incident, 1 receiving) [s]; infinite where it has no length."""
         return float(self.scene.round_trips[self.row, bar])
+
+    def bar_length(self, bar: int) -> float:
+        """Length of a bar [m]; infinite where it has none."""
+        return 0.5 * self.wave_speed * self.round_trip(bar)
 
     def reflection(self, bar: int) -> float:
         """Velocity reflection coefficient of a bar's far end."""
@@ -128,29 +140,24 @@ class Motion:
         """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before
         first touch.
         """
-        scales = self.scene.scales
-        row = self.row
-        units = np.array([scales.approach[row], scales.approach[row], scales.speed[row]])
+        approach = self.scales.approach
+        units = np.array([approach, approach, self.scales.speed])
         return np.asarray(self._at(self.states, times) * units)
 
     def force_at(self, approach: Array) -> Array:
         """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c)
         of `linear`.
         """
-        scales = self.scene.scales
+        scales = self.scales
         if self.fidelity == "linear":
-            return np.asarray(
-                scales.force[self.row] / scales.approach[self.row] * np.maximum(approach, 0.0)
-            )
-        return np.asarray(contact.hertz_force(approach, scales.hertz_constant[self.row]))
+            return np.asarray(scales.force / scales.approach * np.maximum(approach, 0.0))
+        return np.asarray(contact.hertz_force(approach, scales.hertz_constant))
 
     def forces_at(self, times: Array) -> Array:
         """Contact forces at A and B [N] at `times` [s], (m, 2)."""
         if self.forces is None:
             return self.force_at(self.states_at(times)[:, :2])
-        return np.asarray(
-            np.maximum(self._at(self.forces, times), 0.0) * self.scene.scales.force[self.row]
-        )
+        return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * self.scales.force)
 
     def pressure_at(self, force: Values, pole: int = 0) -> Values:
         """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the
@@ -180,7 +187,7 @@ def thread_count(threads: int | None = None) -> int:
 
 def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
     """What the kernel needs of `rows`, in scaled variables."""
-    scales = Scales._make(column[rows] for column in scene.scales)
+    scales = scene.scales.at(rows)
     time = scales.time
     pulse = scene.pulse
     echoing = scene.reflections[rows] != 0.0
@@ -326,22 +333,12 @@ def march_rows(arguments: Mapping[str, Array], task: Task) -> tuple[Any, list[An
     return answers, paths
 
 
-def integrate(
-    scene: Scene,
-    *,
-    fidelity: str = "full",
-    tolerance: float = 1e-6,
-    threads: int | None = None,
-    quantities: Collection[str] | None = None,
-) -> Any:
-    """Scaled answers (n,), of the type `tracked.ANSWER`, of a batch; what `quantities` does not
-    name is not followed.
-    """
-    answers = empty_answers(len(scene))
+def integrate(scene: Scene, task: Task, *, threads: int | None = None) -> Any:
+    """Scaled answers (n,), of the type `tracked.ANSWER`, of a batch."""
+    answers = tracked.empty_answers(len(scene))
     answers["status"] = scene.status
     rows = np.flatnonzero(scene.status == 0)
     arguments = scaled_arguments(scene, rows)
-    task = task_of(scene, fidelity, tolerance, quantities)
 
     def run(block: slice) -> None:
         given = {name: column[block] for name, column in arguments.items()}
@@ -462,16 +459,12 @@ def solve(
         raise ValueError(
             f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})"
         )
-    answers = integrate(
-        scene, fidelity=fidelity, tolerance=tolerance, threads=threads, quantities=quantities
-    )
-    columns = tracked.answer_columns(answers)
+    task = task_of(scene, fidelity, tolerance, quantities)
+    columns = tracked.answer_columns(integrate(scene, task, threads=threads))
     return answers_from(scene, columns, linear=fidelity == "linear", quantities=quantities)
 
 
-def later_loading(
-    scene: Scene, *, fidelity: str = "full", tolerance: float = 1e-4, threads: int | None = None
-) -> Array:
+def later_loading(scene: Scene, *, tolerance: float = 1e-4) -> Array:
     """Largest force up to the horizon over that of the record, (n,): above 1 the loose sphere
     strikes one bar harder than it is squeezed in the record.
 
@@ -484,9 +477,7 @@ def later_loading(
     peaks = [
         solve(
             replace(scene, whole_record=whole, demands={}),
-            fidelity=fidelity,
             tolerance=tolerance,
-            threads=threads,
             quantities=("P_max",),
         ).values["P_max"]
         for whole in (False, True)

@@ -237,6 +237,10 @@ STATE = np.dtype(
         ("inverse_mu", "f8", _LANE),  # 1/mu, 0 without mass; enter
         # the step
         ("h", "f8", _FACE),  # t_c; length of the trial step; try_step, read_echo
+        ("before", "f8", _FACE),  # last term of x or U but one, over its scale; reach
+        ("last", "f8", _FACE),  # last one; reach
+        ("late", "f8", _FACE),  # larger one of x; reach
+        ("circle", "f8", _FACE),  # theta in which the series of x holds; reach
         ("theta", "f8", _FACE),  # share of it that is taken; reach, choose, keep_roots
         ("error", "f8", _LANE),  # error allowed in one step; enter, change_branch, keep, move_on
         ("size", "f8", _FACE),  # scale of x; enter, move_on
