@@ -389,7 +389,7 @@ def test_the_fields_of_a_lane_name_functions_that_write_them() -> None:
     modules = (events, faces, incoming, kernel, lanes, records)
     names = {name.lstrip("_") for module in modules for name in vars(module)} | {"records"}
     text = Path(tracked.__file__).read_text()
-    fields = re.findall(r"^ {8}\(\"\w+\", .*; ([a-z_, ]+)$", text[text.index("\nLANE = ") :], re.M)
+    fields = re.findall(r"^ +\(?\"\w+\", .*; ([a-z_, ]+)$", text[text.index("\nLANE = ") :], re.M)
     assert len(fields) > 60
     for writers in fields:
         assert set(writers.split(", ")) <= names | {"march_rows"}, writers
