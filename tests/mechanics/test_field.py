@@ -131,7 +131,9 @@ def test_endless_bars_have_a_field_at_any_distance():
     history = history_with(infinite=True, bars_incident_length=1e4, bars_receiving_length=1e4)
     v = field_at(history.motion, "receiving", 50.0, np.array([50.0 / C0 + 5e-5])).velocity[0]
     approach = history.motion.states_at(np.array([5e-5]))[0, 1]
-    assert v == pytest.approx(hertz_force(approach, history.hertz_constant) / Z, rel=1e-6)
+    assert v == pytest.approx(
+        hertz_force(approach, history.motion.scales.hertz_constant) / Z, rel=1e-6
+    )
     assert (
         field_at(history.motion, "receiving", 50.0, np.array([0.99 * 50.0 / C0])).stress[0] == 0.0
     )

@@ -143,7 +143,7 @@ def test_equilibrium_is_the_level_of_the_imbalance(granite):
     granite = history_with("half_sine", sphere_radius=0.005)
     first = equilibrium(granite, 0.1)
     forces = contact.hertz_force(
-        granite.motion.states_at(np.array([first]))[:, :2], granite.hertz_constant
+        granite.motion.states_at(np.array([first]))[:, :2], granite.motion.scales.hertz_constant
     )
     assert force_imbalance(forces[:, 0], forces[:, 1])[0] == pytest.approx(0.1, rel=1e-9)
     assert equilibrium(granite, 0.5) <= first
