@@ -12,20 +12,15 @@ import numpy as np
 from uqsphere.arrays import Values
 
 
-def reduced_modulus(
-    E: Values, nu: Values, bar_E: Values, bar_nu: Values, *, rigid_bars: bool = False
-) -> Values:
+def reduced_modulus(E: Values, nu: Values, bar_E: Values, bar_nu: Values) -> Values:
     """Reduced modulus E* [Pa]: 1/E* = (1-nu²)/E + (1-nu_b²)/E_b, theory (1).
 
-    The bar's term is omitted if `rigid_bars`.
+    E_b is infinite for a rigid bar.
 
     >>> round(reduced_modulus(52e9, 0.25, 210e9, 0.3) / 1e9, 6)
     44.71836
     """
-    compliance = (1.0 - nu * nu) / E
-    if not rigid_bars:
-        compliance = compliance + (1.0 - bar_nu * bar_nu) / bar_E
-    return 1.0 / compliance
+    return 1.0 / ((1.0 - nu * nu) / E + (1.0 - bar_nu * bar_nu) / bar_E)
 
 
 def effective_radius(radius: Values, end_radius: Values = math.inf) -> Values:

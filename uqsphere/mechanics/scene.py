@@ -483,12 +483,11 @@ def _partner(scene: Scene, pole: int) -> Partner:
         end_radius = c["other.radius"]
     elif ball:
         end_radius = 0.5 * c[f"{table}.diameter"]
+    face_E = c.get(f"{table}.insert_E", E)
+    if scene.rigid_contact:
+        face_E = rigid
     modulus = contact.reduced_modulus(
-        c["sphere.E"],
-        c["sphere.nu"],
-        c.get(f"{table}.insert_E", E),
-        c.get(f"{table}.insert_nu", nu),
-        rigid_bars=scene.rigid_contact,
+        c["sphere.E"], c["sphere.nu"], face_E, c.get(f"{table}.insert_nu", nu)
     )
     radius = contact.effective_radius(c["sphere.radius"], end_radius)
     if kind == "bar":

@@ -17,8 +17,7 @@ from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cached_property
-from itertools import chain
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -338,13 +337,10 @@ def integrate(scene: Scene, task: Task, *, threads: int | None = None) -> Any:
     answers = tracked.empty_answers(len(scene))
     answers["status"] = scene.status
     rows = np.flatnonzero(scene.status == 0)
-    arguments = scaled_arguments(scene, rows)
-
-    def run(block: slice) -> None:
-        given = {name: column[block] for name, column in arguments.items()}
-        answers[rows[block]] = look_closer(given, task)
-
-    _by_blocks(run, len(rows), _BLOCK, threads)
+    if len(rows):
+        arguments = scaled_arguments(scene, rows)
+        looked = _by_blocks(partial(look_closer, task=task), arguments, _BLOCK, threads)
+        answers[rows] = np.concatenate(looked)
     return answers
 
 
@@ -377,44 +373,49 @@ def motions(
 
     They end with the record of the scene, or once none of the `quantities` can change any more.
     """
-    arguments = scaled_arguments(scene, rows)
     task = task_of(scene, fidelity, tolerance, quantities)
     task = replace(task, wanted=task.wanted | tracked.WANT_MOTION)
-
-    def run(block: slice) -> list[Motion | int]:
-        answers, paths = march_rows(
-            {name: column[block] for name, column in arguments.items()}, task
-        )
-        courses: list[Motion | int] = answers["status"].tolist()
-        for k in np.flatnonzero(answers["status"] == tracked.OK).tolist():
-            series = paths[k]["series"]
-            courses[k] = Motion(
-                scene=scene,
-                row=int(rows[block][k]),
-                start=paths[k]["start"],
-                length=paths[k]["length"],
-                states=series[:, :3],
-                forces=series[:, 3:] if task.has_laws else None,
-                end=float(answers["ended"][k]),
-                fidelity=fidelity,
-            )
-        return courses
-
     # a call keeps room for all steps of its rows, which fill the lanes of the kernel
-    return list(chain.from_iterable(_by_blocks(run, len(rows), tracked.LANES, threads)))
+    marched = _by_blocks(
+        partial(march_rows, task=task), scaled_arguments(scene, rows), tracked.LANES, threads
+    )
+    courses: list[Motion | int] = []
+    for answers, paths in marched:
+        for answer, path in zip(answers, paths, strict=True):
+            course: Motion | int = int(answer["status"])
+            if course == tracked.OK:
+                course = Motion(
+                    scene=scene,
+                    row=int(rows[len(courses)]),
+                    start=path["start"],
+                    length=path["length"],
+                    states=path["series"][:, :3],
+                    forces=path["series"][:, 3:] if task.has_laws else None,
+                    end=float(answer["ended"]),
+                    fidelity=fidelity,
+                )
+            courses.append(course)
+    return courses
 
 
 def _by_blocks(
-    run: Callable[[slice], Result], count: int, size: int, threads: int | None
+    run: Callable[[dict[str, Array]], Result],
+    arguments: Mapping[str, Array],
+    size: int,
+    threads: int | None,
 ) -> list[Result]:
-    """What a function makes of blocks of so many rows, by threads."""
-    blocks = [slice(begin, begin + size) for begin in range(0, count, size)]
+    """What a function makes of the kernel's arguments, in blocks of so many rows, by threads."""
+
+    def made_of(block: slice) -> Result:
+        return run({name: column[block] for name, column in arguments.items()})
+
+    blocks = [slice(begin, begin + size) for begin in range(0, len(arguments["mass"]), size)]
     workers = min(thread_count(threads), len(blocks))
     if workers <= 1:
-        return list(map(run, blocks))
-    run(slice(0, 0))  # compile, or load, once before the threads ask for it
+        return list(map(made_of, blocks))
+    made_of(slice(0, 0))  # compile, or load, once before the threads ask for it
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(run, blocks))
+        return list(pool.map(made_of, blocks))
 
 
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
