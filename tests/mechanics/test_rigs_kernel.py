@@ -44,14 +44,17 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
     """What the kernel takes, of scaled rigs without incoming waves."""
     n = len(rows)
     trips, ends = np.full((n, 2), np.inf), np.zeros((n, 2))
-    laws, rigs = np.ones((n, tracked.LAWS, 2)), np.zeros((n, tracked.POLES, 2))
-    laws[:, tracked.LAW_ONSET] = math.inf
+    poles = np.zeros((n, 2), tracked.POLE)
+    poles["stiffness"], poles["onset"] = 1.0, math.inf
     for i, row in enumerate(rows):
         for k, pole in enumerate(row["poles"]):
             if pole is None:
                 continue
-            laws[i, :, k] = pole["onset"], pole["b"], pole["C"], pole["kappa"], 0.5
-            rigs[i, :, k] = pole["zeta"], 1.0 / pole["mu"], (1 - 2 * k) * pole["V"], 1.0
+            here = poles[i, k]
+            here["there"], here["speed"] = 1.0, (1 - 2 * k) * pole["V"]
+            here["gives"], here["lightness"] = pole["zeta"], 1.0 / pole["mu"]
+            here["stiffness"], here["share"] = pole["kappa"], 0.5
+            here["onset"], here["softening"], here["pile_up"] = pole["onset"], pole["b"], pole["C"]
             trips[i, k], ends[i, k] = pole["trip"], pole["end"]
     return {
         "mass": np.array([row["mu"] for row in rows]),
@@ -63,8 +66,7 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
         "horizon": np.full(n, np.inf),
         "pulse_end": np.full(n, np.inf),
         "level": np.full(n, 0.1),
-        "laws": laws,
-        "poles": rigs,
+        "poles": poles,
         "speed": np.array([row["speed"] for row in rows]),
     }
 

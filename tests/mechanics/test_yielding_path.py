@@ -11,7 +11,7 @@ import pytest
 
 from uqsphere.mechanics.integrator import faces, solve, tracked
 from uqsphere.mechanics.integrator.compiled import compiled
-from uqsphere.mechanics.integrator.tracked import LAW_STIFFNESS, LAWS, empty_lanes
+from uqsphere.mechanics.integrator.tracked import POLE, empty_lanes
 from uqsphere.mechanics.scene import Scene
 
 SCENES = json.loads((Path(__file__).parent / "data" / "contact_scenes.json").read_text())["scenes"]
@@ -232,8 +232,8 @@ def there_and_back(lanes, given, pressed, approach):
     ids=["plastic", "Thornton", "elastic"],
 )
 def test_virgin_loading_reaches_a_force_where_it_is_said_to(law, approaches):
-    given = np.ones((LAWS, 2))
-    given[:LAW_STIFFNESS, 0] = law
+    given = np.ones(2, POLE)
+    given["onset"][0], given["softening"][0], given["pile_up"][0] = law
     for approach in approaches:
         assert there_and_back(empty_lanes(), given, law[0] < 1.0, approach) == pytest.approx(
             approach, rel=1e-11

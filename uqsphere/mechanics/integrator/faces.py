@@ -28,17 +28,7 @@ import math
 from uqsphere.mechanics.yielding import first_loading
 
 from .compiled import compiled
-from .tracked import (
-    LANES,
-    LAW_ONSET,
-    LAW_PILE_UP,
-    LAW_SHARE,
-    LAW_SOFTENING,
-    LAW_STIFFNESS,
-    LINEAR,
-    PAIR,
-    TAIL_SHARE,
-)
+from .tracked import LANES, LINEAR, PAIR, TAIL_SHARE
 
 #: share of x_m by which an approach has to fall below it before it can rise through it again
 ARMED = 1e-13
@@ -63,23 +53,23 @@ _virgin_area, _area_shape = _LAW.area, _LAW.area_shape
 
 @compiled
 def new_faces(s, j, given):
-    """Both faces of a row before anything has yielded; given (LAWS, 2), onset inf where a face
-    stays elastic.
+    """Both faces of a row before anything has yielded; given (2,): tracked.POLE, onset inf where a
+    face stays elastic.
     """
     for face in range(2):
         m = face * LANES + j
-        stiffness = given[LAW_STIFFNESS, face]
-        _be_spring(s, m, stiffness)
+        pole = given[face]
+        _be_spring(s, m, pole.stiffness)
         s.dent[m] = 0.0
         s.turned_at[m] = -1.0
-        s.onset[m] = given[LAW_ONSET, face]
-        s.softening[m] = given[LAW_SOFTENING, face]
-        s.pile_up[m] = given[LAW_PILE_UP, face]
-        s.stiffness[m] = stiffness
+        s.onset[m] = pole.onset
+        s.softening[m] = pole.softening
+        s.pile_up[m] = pole.pile_up
+        s.stiffness[m] = pole.stiffness
         s.largest[m] = s.onset[m]
-        s.unit_force[m] = stiffness * s.onset[m] ** 1.5
+        s.unit_force[m] = pole.stiffness * s.onset[m] ** 1.5
         s.peak_force[m] = s.unit_force[m]
-        s.chi[m] = given[LAW_SHARE, face]
+        s.chi[m] = pole.share
 
 
 @compiled

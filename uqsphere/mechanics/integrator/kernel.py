@@ -32,7 +32,7 @@ units and who writes them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from uqsphere.arrays import Array
 
@@ -75,10 +75,9 @@ class Rows(NamedTuple):
     mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
     breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
     inf for the rule of infinite bars, which needs pulse_end (n,).  level (n,): scale of x that is
-    expected at least.  laws (n, tracked.LAWS, 2): of both faces.  poles (n, tracked.POLES, 2),
-    speed (n,): what stands at the poles, and u at the start.  Whether faces are alike and elastic,
-    or stand on two bars, is in the state (`has_laws`, `rigged`).  The record of other rigs than
-    bars ends when the bodies part.
+    expected at least.  poles (n, 2): tracked.POLE.  speed (n,): u at the start.  Whether faces are
+    alike and elastic, or stand on two bars, is in the state (`has_laws`, `rigged`).  The record of
+    other rigs than bars ends when the bodies part.
     """
 
     mass: Array
@@ -90,8 +89,7 @@ class Rows(NamedTuple):
     horizon: Array
     pulse_end: Array
     level: Array
-    laws: Array
-    poles: Array
+    poles: Any
     speed: Array
 
 
@@ -175,7 +173,7 @@ def _enter(s, j, r, rows):
         s.inverse_mu[j] = 0.0
     lane.end = rows.horizon[r]
     lane.pulse_end = rows.pulse_end[r] * (1.0 - 1e-12)
-    new_faces(s, j, rows.laws[r])
+    new_faces(s, j, rows.poles[r])
     lane.by_law = follows_law(s, j)
     quickest = max(1.0 / rows.mass[r], 1.0)
     stiffest = 1.0
@@ -185,22 +183,22 @@ def _enter(s, j, r, rows):
         s.u_size[j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
     for face in range(2):
         m = face * LANES + j
-        lightness = rows.poles[r, tracked.POLE_LIGHTNESS, face]
+        pole = rows.poles[r, face]
         lane.reflect[face] = rows.ends[r, face]
         lane.trips[face] = rows.round_trips[r, face]
-        s.gives[m] = rows.poles[r, tracked.POLE_GIVES, face]
-        s.lightness[m] = lightness
-        s.there[m] = rows.poles[r, tracked.POLE_THERE, face]
-        s.free[0, m] = rows.poles[r, tracked.POLE_SPEED, face]
+        s.gives[m] = pole.gives
+        s.lightness[m] = pole.lightness
+        s.there[m] = pole.there
+        s.free[0, m] = pole.speed
         s.x[0, m] = 0.0
         s.u[0, m] = rows.speed[r]
-        s.size[m] = level * min(1.0, s.stiffness[m] ** (-2.0 / 3.0))
+        s.size[m] = level * min(1.0, pole.stiffness ** (-2.0 / 3.0))
         s.free_size[m] = 1.0
-        if lightness > 0.0:
-            s.free_size[m] = 0.1 * min(1.0, lightness)
-        lane.touched[face] = 1.0 - s.there[m]
-        quickest = max(quickest, lightness)
-        stiffest = max(stiffest, s.stiffness[m])
+        if pole.lightness > 0.0:
+            s.free_size[m] = 0.1 * min(1.0, pole.lightness)
+        lane.touched[face] = 1.0 - pole.there
+        quickest = max(quickest, pole.lightness)
+        stiffest = max(stiffest, pole.stiffness)
     lane.quickest = quickest * stiffest
     lane.back = min(lane.trips[0], lane.trips[1])
     if rows.breaks[r, -1] == math.inf and lane.back == math.inf:

@@ -196,29 +196,27 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
     else:  # no wave comes in
         duration = np.ones(len(rows))
-    laws = np.ones((len(rows), tracked.LAWS, 2))
-    laws[:, tracked.LAW_ONSET] = np.inf
-    poles = np.zeros((len(rows), tracked.POLES, 2))
-    for pole, partner in enumerate(scene.partners):
+    poles = np.zeros((len(rows), 2), tracked.POLE)
+    poles["stiffness"] = 1.0
+    poles["onset"] = np.inf
+    for side, partner in enumerate(scene.partners):
         if partner is None:
             continue
-        laws[:, tracked.LAW_STIFFNESS, pole] = partner.hertz_constant[rows] / scales.hertz_constant
-        laws[:, tracked.LAW_SHARE, pole] = partner.share[rows]
-        impedance = partner.impedance[rows] * scales.speed
-        momentum = partner.mass[rows] * scales.speed
-        speed = (1 - 2 * pole) * scene.start[rows, 1 + pole]
-        poles[:, tracked.POLE_GIVES, pole] = scales.force / impedance
-        poles[:, tracked.POLE_LIGHTNESS, pole] = scales.force * time / momentum
-        poles[:, tracked.POLE_SPEED, pole] = speed / scales.speed
-        poles[:, tracked.POLE_THERE, pole] = 1.0
+        pole = poles[:, side]
+        pole["there"] = 1.0
+        pole["gives"] = scales.force / (partner.impedance[rows] * scales.speed)
+        pole["lightness"] = scales.force * time / (partner.mass[rows] * scales.speed)
+        pole["speed"] = (1 - 2 * side) * scene.start[rows, 1 + side] / scales.speed
+        pole["stiffness"] = partner.hertz_constant[rows] / scales.hertz_constant
+        pole["share"] = partner.share[rows]
         if partner.face is not None:
             face = partner.face.at(rows)
             own = face.own
             onset = face.onset_approach / scales.approach
             softening = np.where(np.abs(face.softening) < 1e-12, 0.0, face.softening)
-            laws[own, tracked.LAW_ONSET, pole] = onset[own]
-            laws[own, tracked.LAW_SOFTENING, pole] = softening[own]
-            laws[own, tracked.LAW_PILE_UP, pole] = face.pile_up[own]
+            pole["onset"][own] = onset[own]
+            pole["softening"][own] = softening[own]
+            pole["pile_up"][own] = face.pile_up[own]
     return {
         "mass": scales.mass_number,
         "ends": scene.reflections[rows],
@@ -229,7 +227,6 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         "horizon": scene.record_end[rows] / time,
         "pulse_end": breaks[:, -1].copy(),
         "level": 0.1 * np.minimum(1.0, duration),
-        "laws": laws,
         "poles": poles,
         "speed": scene.start[rows, 0] / scales.speed,
     }

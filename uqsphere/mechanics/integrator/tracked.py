@@ -140,12 +140,24 @@ WISHES = {
     "duration": WANT_DURATION | WANT_MEAN,
 }
 
-# law of a face of its own, for both faces of a row (`faces`): onset x_y, softening b, pile-up C,
-# factor of x^(3/2), sphere's share of the energy
-LAW_ONSET, LAW_SOFTENING, LAW_PILE_UP, LAW_STIFFNESS, LAW_SHARE, LAWS = range(6)
-# what stands at a row's poles: zeta, 1/mu_i, U_A and -U_B at the start, 1 or 0 where nothing stands
-POLE_GIVES, POLE_LIGHTNESS, POLE_SPEED, POLE_THERE, POLES = range(5)
-
+#: what stands at a pole of a row, and the law of the face there (`faces`)
+POLE = np.dtype(
+    [
+        *_fields(
+            "f8",
+            (),
+            "there",  # 1, or 0 where nothing stands
+            "gives",  # zeta
+            "lightness",  # 1/mu_i
+            "speed",  # U_A or -U_B at the start
+            "stiffness",  # factor of x^(3/2)
+            "share",  # of the sphere in the energy
+            "onset",  # x_y
+            "softening",  # b
+            "pile_up",  # C
+        )
+    ]
+)
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
 
