@@ -176,17 +176,15 @@ def _side(scene: Scene, partner: Partner, x: Array) -> Columns:
     force = scales.force * (x * np.sqrt(x))
     if partner is not scene.struck:
         force = force * (beta / scales.hertz_constant)
-    side: Columns = Columns(
+    return Columns(
+        modulus=modulus,
+        effective_radius=radius,
+        hertz_constant=beta,
         P_max=force,
         alpha_max=approach,
-        a_max=lambda: contact.contact_radius(approach, radius),
-        p_hertz=lambda: contact.pressure_at_force(force, modulus, radius),
-        p_mean=lambda: 2.0 / 3.0 * side["p_hertz"],
-        **dict.fromkeys(("p_max", "p_field", "p_rim"), lambda: side["p_hertz"]),
         **dict.fromkeys(("dent_left", "dissipated"), np.zeros(len(scene))),
         stored=lambda: contact.contact_energy(approach, beta),
     )
-    return side
 
 
 #: columns of a row that are the largest over its contacts, each separately

@@ -4,11 +4,12 @@ A new answer of a row needs
 
     here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`;
               a field of `ANSWER`; if it costs time a bit `WANT_` (and the length of theirs, and
-              `WANT_ALL`), and an entry of `WISHES`
-    records   its start in `begin`, its answer in `finish`; for a largest value `no_later_peak`, by
-              which a record ends once it cannot grow
-    events    what follows it in `after_step`; for a largest value of both faces `_both`,
-              `_may_grow` and `OF_BOTH`
+              `WANT_ALL`), and an entry of `WISHES`;
+              an entry of `_AT_START` unless it begins at zero
+    records   its answer in `finish`; for a largest value `no_later_peak`, by which a record ends
+              once it cannot grow
+    events    what follows it in `after_step`; for a largest value of both faces `_both`, `_bound`
+              and `OF_BOTH`
     outside   `closed_form` for scenes that it answers in place of the integrator; ``outputs.toml``
               and a formula in `outputs`, which reads it by its name (`answer_columns`), and
               `outputs._LACKING` for scenes without it
