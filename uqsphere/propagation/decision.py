@@ -65,6 +65,12 @@ class Settled(Curves):
         """
         return self.most_conservative([doubt.margin for doubt in self.doubts])
 
+    @cached_property
+    def best_estimate(self) -> float | None:
+        """The free number by the limits as the study has them, without their doubts."""
+        limits = self.aim.limits
+        return self.most_conservative([self.margin(limit, self.middle(limit)) for limit in limits])
+
     @property
     def use(self) -> float | None:
         """The number to use; None where there is none, or no end to what is safe."""
@@ -128,9 +134,13 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
     replicates = line.rows.replicates
     settled = Settled(aim=aim, line=line)
     for _ in range(_PASSES):
-        number = settled.use
+        number = settled.number
         line = settled.line
-        if number is None:
+        neighbours = 1
+        if number is None:  # more rows may show less to be possible than too few of them leave
+            number = settled.best_estimate
+            neighbours = 2
+        if number is None or number == math.inf:
             break
         distances = np.abs(line.places - line.place_of(number))
         nearest = np.argmin(distances)
@@ -139,11 +149,12 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
             doubt = settled.governing
             allowed = doubt.limit.allowable
             half = student(replicates) * doubt.error[nearest]
-            if half <= required * min(allowed, 1.0 - allowed) or count >= _MOST:
+            accurate = half <= required * min(allowed, 1.0 - allowed)
+            if (accurate and settled.number is not None) or count >= _MOST:
                 break
             count *= 2
         above = int(np.searchsorted(line.values, number))
-        wanted = line.values[max(above - 1, 0) : above + 1]
+        wanted = line.values[max(above - neighbours, 0) : above + neighbours]
         if not there:
             wanted = (*wanted, number)
         rows = len(wanted) * count * replicates

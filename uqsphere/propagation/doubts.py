@@ -309,15 +309,46 @@ class Curves:
         """The limit as the study has it, at the unsafe end of the numerical interval."""
         base = self.base(limit)
         as_it_is = Alternative(code="computation", limit=limit)
-        return self._doubt(as_it_is, [self._ends(means) for means in base], base[1])
+        return self._doubt(as_it_is, [self._ends(limit, means) for means in base], base[1])
 
-    def _ends(self, means: Array) -> Array:
-        """The unsafe ends (K,) of the numerical intervals of probabilities (K, R)."""
-        ends = [
-            probability_ends(row.mean(), (1.0 - row).mean(), spread(row), row.size, sample.size)
-            for row, sample in zip(means, self.line.samples.values(), strict=True)
-        ]
-        return np.array(ends)[:, int(self.aim.survive)]
+    def _ends(self, limit: Limit, means: Array) -> Array:
+        """The unsafe ends (K,) of the numerical intervals of probabilities (K, R) of a limit.
+
+        Where its rows are counted, and none fails, failures are as probable as a count of none
+        allows.
+        """
+        counted = self._counted(limit)
+        ends = []
+        for row, sample in zip(means, self.line.samples.values(), strict=True):
+            total = sample.size if counted else math.inf
+            both = probability_ends(row.mean(), (1.0 - row).mean(), spread(row), row.size, total)
+            ends.append(both[int(self.aim.survive)])
+        return self._without_turns(np.array(ends), means.mean(axis=1))
+
+    def _without_turns(self, ends: Array, means: Array) -> Array:
+        """Unsafe ends (K,) of probabilities (K,): where no row fails, failures are no more probable
+        than at any value nearer to the unsafe end.
+        """
+        survive = self.aim.survive
+        none_fails = means <= 0.0 if survive else means >= 1.0
+        accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
+        from_unsafe = slice(None)
+        if (means[-1] >= means[0]) == survive:
+            from_unsafe = slice(None, None, -1)
+        return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
+
+    def _counted(self, limit: Limit) -> bool:
+        """Whether rows of a limit are counted: its strength takes few values, or ends where demands
+        lie.  Without such an end every row fails with some probability, however small.
+        """
+        state = self.line.state(limit)
+        strength = state.strength
+        if not isinstance(strength, Law) or strength.is_steps:
+            return True
+        low, high = strength.ppf(np.array([0.0, 1.0]))
+        if self.aim.survive:
+            return bool(np.nanmin(state.demands) <= low)
+        return bool(np.nanmax(state.demands) >= high)
 
     def assumed(self, mode: AssumedMode) -> Doubt:
         """A failure mode by itself, its strength at the middle of the library's range."""
@@ -375,8 +406,7 @@ class Curves:
         """Curves (2, K) at a quantile of (2, laws, K, R) on few rows, and the joint one of each
         replicate (K, R), moved by the difference in normal scores between all rows and few.
         """
-        law = strength_of(limit)
-        counted = not isinstance(law, Law) or law.is_steps
+        counted = self._counted(limit)
 
         def scores(line: Line, probability: Array) -> Array:
             if counted:  # rows that fail or not: none of them is not never
@@ -391,7 +421,10 @@ class Curves:
         change = scores(self.line, every) - scores(self.few.line, few)
         ends = scores(self.few.line, np.quantile(means, end, axis=1))
         moved = special.ndtr(ends + change)
-        return moved[:, :, 0], moved[1, :, 1:]
+        curves = moved[:, :, 0]
+        if counted:
+            curves = np.array([*map(self._without_turns, curves, every[:, :, 0])])
+        return curves, moved[1, :, 1:]
 
     def _doubt(
         self, alternative: Alternative, curves: Sequence[Array] | Array, rows: Array

@@ -81,7 +81,7 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
         np.array([*line]),
         np.clip(_along(design, line, limit), 0.0, 1.0),
         targets or sorted({*margins.for_probability, limit.allowable}),
-        samples=min(counts),
+        samples=counts,
         evaluations=sample.replicates * sum(counts),
         folds=folds,
     )

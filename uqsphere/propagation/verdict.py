@@ -264,9 +264,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
         factor = number / planned
         if settled.least:
             factor = planned / number
-    best = settled.most_conservative(
-        [settled.margin(limit, settled.middle(limit)) for limit in settled.aim.limits]
-    )
+    best = settled.best_estimate
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
     if library is not None:
         margins += [library.weak, library.strong]

@@ -37,36 +37,38 @@ def fragility(
     probabilities: Array,
     targets: Sequence[float],
     *,
-    samples: int,
+    samples: int | Sequence[int],
     evaluations: int,
     folds: Array | None = None,
 ) -> Fragility:
     """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
     grid.
 
-    `samples` is the number of samples behind one probability of one replicate; what lies below half
-    a sample in all replicates together is not told from zero.  The probability may rise or fall
-    with the value.  A value is absent where the probability does not pass through it between the
-    ends of the grid, and where the curve turns back by more than its noise and may pass through it
-    more than once.  `folds` (K, F) are probabilities of expansions at the same points: what their
-    values differ by is the error of one expansion more.
+    `samples`, one number or (K,), are those behind one probability of one replicate; what lies
+    below half a sample in all replicates together is not told from zero.  The probability may rise
+    or fall with the value.  A value is absent where the probability does not pass through it
+    between the ends of the grid, and where the curve turns back by more than its noise and may pass
+    through it more than once.  `folds` (K, F) are probabilities of expansions at the same points:
+    what their values differ by is the error of one expansion more.
     """
     replicates = probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
         raise ValueError("the grid must hold at least two increasing values")
+    counts = np.broadcast_to(samples, grid.shape)
     curve = []
     values = dict[float, Estimate]()
-    for level, row in zip(grid.tolist(), probabilities, strict=True):
+    for level, row, count in zip(grid.tolist(), probabilities, counts, strict=True):
         p = float(row.mean())
         q = float((1.0 - row).mean())
         # counts that agree in all replicates are still known to one sample only
-        error = spread(row) or spread(row, 1.0 / samples)
-        low, high, _ = probability_ends(p, q, error, replicates, samples * replicates)
+        error = spread(row) or spread(row, 1.0 / count)
+        low, high, _ = probability_ends(p, q, error, replicates, count * replicates)
         curve.append([level, p, min(low, p), max(high, p)])
     # where a curve that has surely risen surely falls, or has fallen and rises
     signs = _sure_signs(np.diff(probabilities, axis=0))
     sure = np.flatnonzero(signs)
     turns = grid[sure[signs[sure] != signs[sure[:1]]]]
+    least = 0.5 / (replicates * counts[:, None])
     for target in targets:
         sides = _sure_signs(probabilities - target)
         if turns.size and np.count_nonzero(np.diff(sides[sides != 0.0])) != 1:
@@ -76,7 +78,6 @@ def fragility(
                 evaluations,
             )
         else:
-            least = 0.5 / (samples * replicates)
             values[target] = _value(grid, probabilities, target, least, folds, evaluations)
     return Fragility(curve=curve, values=values)
 
@@ -88,9 +89,9 @@ def _sure_signs(values: Array) -> Array:
     return np.where(np.abs(mean) > SURE * error + 1e-9, np.sign(mean), 0.0)
 
 
-def _crossings(places: Array, probabilities: Array, target: float, least: float) -> Array:
+def _crossings(places: Array, probabilities: Array, target: float, least: Array) -> Array:
     """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal
-    scores; NaN if nowhere."""
+    scores; NaN if nowhere.  What lies below `least` (K, 1) is not told from zero."""
     from scipy.interpolate import PchipInterpolator
 
     above, below = (
@@ -114,7 +115,7 @@ def _value(
     grid: Array,
     probabilities: Array,
     target: float,
-    least: float,
+    least: Array,
     folds: Array | None,
     evaluations: int,
 ) -> Estimate:
@@ -144,7 +145,7 @@ def _value(
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     every = np.unique([*range(0, grid.size, 2), grid.size - 1])
-    other = _crossings(places[every], pooled[every], target, least)[0]
+    other = _crossings(places[every], pooled[every], target, least[every])[0]
     if not math.isnan(other):
         half += abs(other - centre) / 4.0
     value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
