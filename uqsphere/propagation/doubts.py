@@ -32,9 +32,11 @@ from uqsphere.uq.fitting import (
     series_behind,
 )
 from uqsphere.uq.joint import FREE
+from uqsphere.uq.limit_state import make_union
 
 from .design import Design, strength_of
 from .failure_modes import REFUTED, AssumedMode, means_fracture
+from .limits import common_factor
 from .line import Line, YieldingRows, exceedance, score
 
 #: strengths that tests allow
@@ -207,6 +209,26 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
 
 
 @frozen(eq=False)
+class Others:
+    """The failure modes beside a limit, at each row.
+
+    hold : probability (R, N) that none of them is exceeded
+    shift, scale : what the normal score of the limit's exceedance is less, and divided by, where
+        they hold: of a strength that depends on theirs
+    """
+
+    hold: Array
+    shift: Array | float = 0.0
+    scale: float = 1.0
+
+    def or_any(self, rows: Array) -> Array:
+        """Probability (R, N) that any failure mode is exceeded, from that of the limit."""
+        if self.scale < 1.0:
+            rows = special.ndtr((score(rows) - self.shift) / self.scale)
+        return 1.0 - self.hold + rows * self.hold
+
+
+@frozen(eq=False)
 class Curves:
     """The limits of an aim along a line, alone and with the other failure modes."""
 
@@ -214,22 +236,39 @@ class Curves:
     line: Line
 
     @cached_property
-    def held(self) -> dict[str, Array]:
-        """Probability (R, N) that no other failure mode is exceeded, by the name of a limit; none
-        for limits that are no fracture.
-        """
-        stands = []
+    def others(self) -> dict[str, Others]:
+        """What adds up with a limit, by its name; nothing for limits that are no fracture."""
+        holds = dict[str, Array]()
+        groups = []
         for group in (*self.aim.groups, *([mode.limit] for mode in self.aim.modes)):
             counted = [*filter(means_fracture, group)]
             if counted and self.aim.survive:
-                exceeded = exceedance(self.line.state(counted[0]), self.aim.word)
-                stands.append((group, 1.0 - exceeded))
-        held = dict[str, Array]()
-        for group, stand in stands:
-            others = [rows for _, rows in stands if rows is not stand]
-            if others:
-                held |= dict.fromkeys([limit.name for limit in group], np.prod(others, axis=0))
-        return held
+                first = counted[0]
+                groups.append((first, group))
+                holds[first.name] = 1.0 - exceedance(self.line.state(first), self.aim.word)
+        others = dict[str, Others]()
+        for first, group in groups:
+            beside = [limit for limit, _ in groups if limit is not first]
+            if beside:
+                hold = np.prod([holds[limit.name] for limit in beside], axis=0)
+                others |= {limit.name: self._beside(limit, beside, hold) for limit in group}
+        return others
+
+    def _beside(self, limit: Limit, beside: Sequence[Limit], hold: Array) -> Others:
+        """What limits beside another one add, that hold with a probability (R, N) each by itself:
+        strengths that depend on each other are drawn one after the other.
+        """
+        design = self.line.design
+        factor = common_factor(design, [*beside, limit])
+        if (factor == np.eye(len(factor))).all():
+            return Others(hold=hold)
+        states = [self.line.state(other) for other in beside]
+        union = make_union(states, factor[:-1, :-1], design.generator("tied strengths"))
+        return Others(
+            hold=np.where(hold > 0.0, union.none, hold),  # rows without an answer stay as they are
+            shift=np.einsum("l,lrn->rn", factor[-1, :-1], union.holding),
+            scale=float(factor[-1, -1]),
+        )
 
     @cached_property
     def yielding(self) -> Line | None:
@@ -249,7 +288,7 @@ class Curves:
 
     def adds_up(self, limit: Limit) -> bool:
         """Whether other failure modes add up with a limit."""
-        return limit.name in self.held
+        return limit.name in self.others
 
     def base(self, limit: Limit) -> Array:
         """The mean exceedance (2, K, R) of a limit by its own strength: alone, and with the other
@@ -295,13 +334,15 @@ class Curves:
         state = self.line.state(limit)
         if not tied:
             state = replace(state, tie=FREE)
-        hold = self.held.get(limit.name)
+        others = self.others.get(limit.name)
+        if others is not None and not tied:
+            others = Others(hold=others.hold)
         means = []
         for strength in laws or [state.strength]:
             rows = exceedance(replace(state, strength=strength), self.aim.word)
             alone = joint = self.line.means(rows)
-            if hold is not None:
-                joint = self.line.means(1.0 - hold + rows * hold)
+            if others is not None:
+                joint = self.line.means(others.or_any(rows))
             means.append((alone, joint))
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 

@@ -213,7 +213,7 @@ def fracture(tables: Tables) -> Rows:
     generator = design.generator("fracture")
     union = make_union(
         [state_of(design, limit, sample) for limit in limits],
-        _common_factor(design, limits),
+        common_factor(design, limits),
         generator,
     )
     exceeded = failure_of_aim(union_state(union), "survive")
@@ -257,7 +257,7 @@ def _each_once(limits: Sequence[Limit]) -> list[Limit]:
     return once
 
 
-def _common_factor(design: Design, limits: Sequence[Limit]) -> Array:
+def common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     """Cholesky factor of the correlation that strengths have with each other, given all that is
     drawn.
     """

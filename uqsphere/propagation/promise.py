@@ -22,7 +22,7 @@ from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
 
 from .decision import Settled
 from .design import strength_of
-from .doubts import LAWS, Curves, tests_behind
+from .doubts import LAWS, Curves, Others, tests_behind
 from .failure_modes import (
     REFUTED,
     AssumedMode,
@@ -219,10 +219,12 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
 
     line = settled.line.few
     word = settled.aim.word
-    stands = 1.0 - exceedance(line.state(limit), word)
+    exceeded_here = exceedance(line.state(limit), word)
+    stands = 1.0 - exceeded_here
     of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
-    others = of_study.held.get(limit.name, np.ones(1))
-    held = line.means(others * stands + 1.0 - stands).mean(axis=1)
+    others = of_study.others.get(limit.name, Others(hold=np.ones(1)))
+    # neither of the study's other limits without this one
+    held = line.means(1.0 - others.or_any(exceeded_here) + exceeded_here).mean(axis=1)
     tables = []
     for mode in modes:
         nodes = np.linspace(0.0, max(_range_of(mode), 1e-6), _STRENGTHS)

@@ -188,9 +188,7 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
     added = from_replicates(more, estimate.method, estimate.evaluations)
     if added.value is None:
         return estimate
-    if estimate.value is None:
-        return added
-    value = np.clip(estimate.value + added.value, 0.0, 1.0)
+    value = np.clip((estimate.value or 0.0) + added.value, 0.0, 1.0)
     low = (estimate.low or 0.0) + (added.low or 0.0)
     high = (1.0 if estimate.high is None else estimate.high) + (added.high or 0.0)
     low, high = np.clip(low, 0.0, value), np.clip(high, value, 1.0)

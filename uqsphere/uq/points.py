@@ -9,7 +9,7 @@ The streams of a study's seed, by the names of their tasks:
     propagation.design      sample
     propagation.grow        pairs
     propagation.surrogate   slow (of which `uqsphere.design` gives the inputs), slow line, factors
-    propagation             N tests from A to B, strengths of samples, fracture
+    propagation             N tests from A to B, strengths of samples, fracture, tied strengths
     exchange                study sample
     uq.rare                 form starts, defensive share, wide look, adapt, subset, subset chains,
                             importance, few, least sure, fresh calls
