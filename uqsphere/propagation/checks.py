@@ -214,7 +214,7 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
             )
     ours = tuple(f"limits.{limit.name}." for limit in settled.aim.limits)
     for code, path, text in design.study.caveats:
-        if code != "rate" or path.startswith(ours):
+        if path.startswith(ours) or not path.startswith("limits."):
             yield Caveat.model_validate({"code": code, "subject": path, "text": text})
     # limits on the same tests rest on one set of synthetic data
     names = [strength_name(group[0].name) for group in settled.aim.groups]

@@ -88,8 +88,19 @@ class Settled(Curves):
 
     @property
     def setting(self) -> Doubt:
-        """The doubt whose margin is the number."""
-        return next(doubt for doubt in self.doubts if doubt.margin == self.number)
+        """The first doubt whose margin is the number, or as good as that."""
+
+        def sets(doubt: Doubt) -> bool:
+            if (
+                doubt.margin is None
+                or self.number is None
+                or math.inf in (doubt.margin, self.number)
+            ):
+                return doubt.margin == self.number
+            apart = abs(self.line.place_of(doubt.margin) - self.line.place_of(self.number))
+            return bool(apart <= _CLOSE * (self.line.places[-1] - self.line.places[0]))
+
+        return next(filter(sets, self.doubts))
 
     @cached_property
     def governing(self) -> Doubt:
@@ -110,17 +121,19 @@ class Settled(Curves):
         candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
-    @property
-    def best(self) -> float | None:
-        """The number once the doubt that governs is gone: the failure mode, or a limit that leaves
-        no number, left out; else by the other doubts.
+    def once_gone(self, doubt: Doubt) -> float | None:
+        """The number once a doubt is gone: the failure mode, or a limit that leaves no number, left
+        out; else by the other doubts, but for contacts that yield with the same strengths.
         """
-        governing = self.governing
-        alone = [*self.aim.limits] == [governing.limit]
-        if governing.code == "assumed strength" or (self.number is None and not alone):
-            return Settled(aim=self.aim.without(governing.limit.name), line=self.line).number
-        gone = governing.key[:2]
-        rest = [doubt.margin for doubt in self.doubts if doubt.key[:2] != gone]
+        alone = self.aim.limits == (doubt.limit,)
+        if doubt.code == "assumed strength" or (self.number is None and not alone):
+            return Settled(aim=self.aim.without(doubt.limit.name), line=self.line).number
+        rest = []
+        for other in self.doubts:
+            with_its_laws = bool(doubt.laws) and bool(other.laws) and other.code == "contact law"
+            alike = other.code == doubt.code or with_its_laws
+            if other.limit.name != doubt.limit.name or not alike:
+                rest.append(other.margin)
         return self.most_conservative(rest or [None])
 
 

@@ -93,7 +93,7 @@ def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> Array:
     for value, sample in line.items():
         state = state_of(design, limit, sample)
         exceeded, _ = tails(state, demand_factor(design.study.margins, limit, value))
-        means.append(exceeded.mean(axis=1))
+        means.append(exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1))
     return np.array(means)
 
 

@@ -30,7 +30,7 @@ from uqsphere.results.types import (
     Use,
     VerdictWord,
 )
-from uqsphere.study import Limit
+from uqsphere.study import Limit, strength_name
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
 
@@ -83,6 +83,19 @@ class Judged:
         if governing.code != "assumed strength" and limits[0].has_target:
             return self.settled.setting.limit
         return next(filter(means_fracture, limits), limits[0])
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the plan surely misses a target though it lies on the safe side of the number:
+        the curve along the free number is not known well enough.
+        """
+        number = self.settled.use
+        planned = self.aim.design.planned
+        if number is None or planned is None:
+            return False
+        safe = planned >= number if self.settled.least else planned <= number
+        met = [target_met(self.all_modes[limit.name], limit.target) for limit in self.aim.limits]
+        return safe and False in met
 
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""
@@ -189,10 +202,22 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
     if added.value is None:
         return estimate
     value = np.clip((estimate.value or 0.0) + added.value, 0.0, 1.0)
-    low = (estimate.low or 0.0) + (added.low or 0.0)
-    high = (1.0 if estimate.high is None else estimate.high) + (added.high or 0.0)
-    low, high = np.clip(low, 0.0, value), np.clip(high, value, 1.0)
-    return replace(estimate, value=value, low=low, high=high)
+    least, most = added.low or 0.0, added.high or 0.0
+
+    def lower(end: float | None) -> float | None:
+        return None if end is None else float(np.clip(end + least, 0.0, value))
+
+    def upper(end: float | None) -> float | None:
+        return None if end is None else float(np.clip(end + most, value, 1.0))
+
+    return replace(
+        estimate,
+        value=value,
+        low=lower(estimate.low or 0.0),
+        high=upper(1.0 if estimate.high is None else estimate.high),
+        low_unseen=lower(estimate.low_unseen),
+        high_unseen=upper(estimate.high_unseen),
+    )
 
 
 # --- the decision ---------------------------------------------------------------------------------
@@ -205,6 +230,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     governing = settled.governing
     subject = aim.design.subject(governing.limit)
     lead = judged.lead
+    none_to_use = settled.number is None or judged.contradicted
     caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
     library = _library(judged)
@@ -230,7 +256,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         target=target,
         governing=subject,
         use=_use(judged, library),
-        blocked_by=subject if judged.line is not None and settled.number is None else "",
+        blocked_by=subject if judged.line is not None and none_to_use else "",
         own=own,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
@@ -256,7 +282,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     number = settled.use
     planned = judged.aim.design.planned
     factor = None
-    if number is None or free is None:
+    if number is None or free is None or judged.contradicted:
         return None
     if planned is not None and number > 0.0 and planned > 0.0:
         factor = number / planned
@@ -401,12 +427,19 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     margin = judged.along(doubt)
     planned = judged.aim.design.planned
     limit = doubt.limit
+    by_margin = True
     if margin is not None and planned is not None:
+        by_margin = planned <= margin
         if judged.settled.least and margin != math.inf:
-            return planned >= margin
-        return planned <= margin
+            by_margin = planned >= margin
+        if doubt.code != "computation":
+            return by_margin
     if doubt.code == "computation":
-        return target_met(judged.all_modes[limit.name], limit.target) is True
+        estimate = judged.all_modes[limit.name]
+        met = target_met(estimate, limit.target)
+        # a count of none that leaves more possible than the target says nothing against the margin
+        silent = met is None and margin is not None and not estimate.value
+        return by_margin and (met is True or silent)
     return bool(limit.missed(doubt.curve[0]) <= limit.target)
 
 
@@ -444,22 +477,46 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     at_best = None
     if line is not None and governing.code != "assumed strength" and line.use is None:
         if line.number is None and len(judged.aim.limits) > 1:
-            at_best = line.best
+            at_best = line.once_gone(governing)
         return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":
         return Remedy(code="nothing")
-    remedy = _REMEDIES.get(governing.code)
+    deciding = governing
+    if governing.code == "computation":
+        deciding = settled.setting
+    if deciding.code == "computation" and verdict == "undecided":
+        deciding = _disagreeing(judged)
+    remedy = _REMEDIES.get(deciding.code)
+    subject = design.subject(deciding.limit)
+    if deciding.code == "tie":
+        subject = f"the dependence of {strength_name(deciding.limit.name)}"
     if remedy is None and verdict == "undecided":
         remedy = "tighten the accuracy"
     if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):
         remedy = "replace the synthetic tests"
     gains: list[TestsGain] = []
     if remedy is not None and line is not None:
-        at_best = line.best
+        at_best = line.once_gone(deciding)
+        if at_best == line.number:
+            at_best = None
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
     return Remedy(code=remedy, subject=subject, at_best=at_best, gains=gains)
+
+
+def _disagreeing(judged: Judged) -> Doubt:
+    """Why the plan is undecided: the computation where its interval holds the target, else the
+    first doubt under which the plan fares otherwise than as computed.
+    """
+    doubts = judged.plan.doubts
+    computed = doubts[0]
+    limit = computed.limit
+    met = target_met(judged.all_modes[limit.name], limit.target)
+    others = [doubt for doubt in doubts if _keeps(judged, doubt) != met]
+    if met is None or not others:
+        return computed
+    return others[0]
 
 
 # --- rows of answers ------------------------------------------------------------------------------

@@ -172,6 +172,8 @@ class DecisionText:
                     )
         if remedy.code == "widen the range" and self._kept_everywhere:
             return "Widen margins.between to find where the target is missed."
+        if remedy.code == "widen the range" and decision.aim == "break":
+            return "Widen margins.between, or increase the demand."
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
         text = _REMEDIES[remedy.code].format(
@@ -199,7 +201,8 @@ class DecisionText:
         """A value of the free number, rounded to its conservative side."""
         if x is None or self._free is None:
             return "none"
-        return format_conservative(x, self._free.path, least=self._least)
+        free = self._free
+        return format_conservative(x, free.path, least=self._least, planned=free.planned)
 
     def _allowed(self, x: float) -> str:
         return f"at {'least' if self._least else 'most'} {self.number(x)}"
@@ -224,7 +227,8 @@ class DecisionText:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.path)}"
         if use is not None and use.value > 0.0 and planned > 0.0:
-            factor = round_conservative(use.value, use.path, least=self._least) / planned
+            used = round_conservative(use.value, use.path, least=self._least, planned=planned)
+            factor = used / planned
             if self._least:
                 factor = 1.0 / factor
             unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
@@ -246,20 +250,44 @@ class DecisionText:
                 strong = self.number(library.strong)
                 text += f" (its weak end: {weak}, its strong end: {strong})"
             return f"{text}."
-        for doubt in self._governing[:1]:
+        for doubt in self._setting:
             clause = _words(doubt)[0]
             if doubt.code in ("tests", "computation"):
                 end = "upper" if self._least else "lower"
                 clause = f"by the {end} end of {clause.removeprefix('with ')}"
+            if doubt.subject != self.decision.governing:
+                clause = f"with {plain_name(doubt.subject)} {clause}"
             text += f", {clause}"
         return f"{text}."
+
+    @property
+    def _setting(self) -> list[Doubt]:
+        """The doubt that sets the number, if any: the one that governs, but where that is what adds
+        most failures and another has the more conservative margin.
+        """
+        doubts = [doubt for doubt in self.decision.doubts if doubt.margin is not None]
+        doubts = [doubt for doubt in doubts if doubt.code != "assumed strength"]
+        if self.decision.use is None or not doubts:
+            return self._governing[:1]
+        number = self.number
+        pick = max if self._least else min
+        worst = pick(doubts, key=lambda doubt: doubt.margin or 0.0)
+        if any(number(doubt.margin) == number(worst.margin) for doubt in self._governing):
+            return self._governing[:1]
+        return [worst]
 
     @property
     def _why_none(self) -> str:
         """Why there is no number to use."""
         if self.decision.blocked_by:
-            name = plain_name(self.decision.blocked_by)
-            return f"{capital(name)} exceeds its target everywhere between {self._ends}."
+            decision = self.decision
+            name = capital(plain_name(decision.blocked_by))
+            allowed = decision.target or 0.0
+            if any(point.value is not None and point.value < allowed for point in decision.curve):
+                return f"Too few model runs to tell where {name} keeps its target."
+            if decision.aim == "break":
+                return f"{name} does not reach its target anywhere between {self._ends}."
+            return f"{name} exceeds its target everywhere between {self._ends}."
         if self._kept_everywhere:
             return "The target is kept in the whole range."
         return f"The target is not crossed between {self._ends}."

@@ -8,18 +8,11 @@ import numpy as np
 from uqsphere.arrays import Array, frozen, special
 
 from .describe import rising
-from .estimate import (
-    SURE,
-    Estimate,
-    absent,
-    between,
-    fold_spread,
-    probability_ends,
-    spread,
-    student,
-)
+from .estimate import SURE, Estimate, absent, between, fold_spread, probability_ends, spread
 
 METHOD = "common random numbers, monotone interpolation"
+#: samples of a value in which a probability is expected to show at least, where they are counted
+FEWEST = 5.0
 
 
 @frozen
@@ -89,19 +82,28 @@ def _sure_signs(values: Array) -> Array:
     return np.where(np.abs(mean) > SURE * error + 1e-9, np.sign(mean), 0.0)
 
 
-def _crossings(places: Array, probabilities: Array, target: float, least: Array) -> Array:
-    """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal
-    scores; NaN if nowhere.  What lies below `least` (K, 1) is not told from zero."""
-    from scipy.interpolate import PchipInterpolator
-
+def _scores(probabilities: Array, least: Array) -> Array:
+    """Normal scores (K, R) of curves of probabilities; what lies below `least` (K, 1) is not told
+    from zero, nor from one.
+    """
     above, below = (
         0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities)
     )
-    bounded = np.clip(probabilities, np.minimum(least, above), 1.0 - np.clip(below, 1e-16, least))
-    direction = np.where(bounded[-1] >= bounded[0], 1.0, -1.0)
-    scores = direction * (special.ndtri(bounded) - special.ndtri(target))
+    lowest = np.minimum(least, above)
+    return np.asarray(
+        special.ndtri(np.clip(probabilities, lowest, 1.0 - np.clip(below, 1e-16, least)))
+    )
+
+
+def _crossings(places: Array, probabilities: Array, target: float, least: Array) -> Array:
+    """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal
+    scores; NaN if nowhere."""
+    from scipy.interpolate import PchipInterpolator
+
+    scores = _scores(probabilities, least)
+    direction = np.where(scores[-1] >= scores[0], 1.0, -1.0)
     # half-way between the running maximum and the running minimum from the right
-    scores = np.mean(rising(scores), axis=0)
+    scores = np.mean(rising(direction * (scores - special.ndtri(target))), axis=0)
     passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
     crossings = np.full(passes.size, math.nan)
     for r in np.flatnonzero(passes):
@@ -119,12 +121,16 @@ def _value(
     folds: Array | None,
     evaluations: int,
 ) -> Estimate:
-    """Value at the target with the spread of the replicates' own answers and of those of folds, and
-    the error of interpolation.
+    """Value at the target: the ends are where the curve takes those of the probability there, which
+    has the spread of the replicates (Woodruff 1952), with the spread of folds and the error of
+    interpolation.
     """
+    from scipy.interpolate import PchipInterpolator
+
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
     places = forward(grid)
+    replicates = probabilities.shape[1]
     pooled = probabilities.mean(axis=1)[:, None]
     centre = _crossings(places, pooled, target, least)[0]
     if math.isnan(centre):
@@ -134,19 +140,41 @@ def _value(
             METHOD,
             evaluations,
         )
-    replicates = _crossings(places, probabilities, target, least)
-    half = student(replicates.size) * spread(replicates)
-    if folds is not None:
-        half = math.hypot(half, fold_spread(_crossings(places, folds, target, least)))
-    if math.isnan(half):
+    k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
+    samples = 0.5 / least
+    counted = np.abs(pooled * samples - np.round(pooled * samples)).max() < 1e-6
+    fewest = float(samples[k - 1 : k + 1].min())
+    if counted and fewest * min(target, 1.0 - target) < FEWEST:
         return absent(
-            "too close to an end of the range: some replicates do not reach it", METHOD, evaluations
+            f"{fewest:.0f} samples at a value are too few to show it", METHOD, evaluations
         )
+    there = special.ndtr(PchipInterpolator(places, _scores(probabilities, least))(centre))
+    error = spread(there) or spread(there, 2.0 * float(least.max()) * replicates)
+    low, high, _ = probability_ends(target, 1.0 - target, error, replicates, math.inf)
+    sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
+    # towards a value at which too few samples show it the curve is not known
+    shown = np.minimum(pooled, 1.0 - pooled) * samples
+    sides += [places[n] for n in (k - 1, k) if counted and shown[n, 0] < FEWEST]
+    further = 0.0
+    if folds is not None:
+        further = float(fold_spread(_crossings(places, folds, target, least)))
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     every = np.unique([*range(0, grid.size, 2), grid.size - 1])
     other = _crossings(places[every], pooled[every], target, least[every])[0]
-    if not math.isnan(other):
-        half += abs(other - centre) / 4.0
-    value, low, high = (float(backward(place)) for place in (centre, centre - half, centre + half))
-    return between(value, low, high, replicates.size, METHOD, evaluations)
+    between_points = 0.0 if math.isnan(other) else abs(other - centre) / 4.0
+    below, above = (
+        math.hypot(distance, further) + between_points
+        for distance in (centre - min(sides), max(sides) - centre)
+    )
+    if not math.isfinite(below + above):
+        return absent(
+            "too close to an end of the range, or too few samples at a value to show this "
+            "probability",
+            METHOD,
+            evaluations,
+        )
+    value, first, last = (
+        float(backward(place)) for place in (centre, centre - below, centre + above)
+    )
+    return between(value, first, last, replicates, METHOD, evaluations)
