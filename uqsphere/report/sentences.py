@@ -256,7 +256,7 @@ class DecisionText:
                 end = "upper" if self._least else "lower"
                 clause = f"by the {end} end of {clause.removeprefix('with ')}"
             if doubt.subject != self.decision.governing:
-                clause = f"with {plain_name(doubt.subject)} {clause}"
+                text += f"; the number is that of {plain_name(doubt.subject)}"
             text += f", {clause}"
         return f"{text}."
 

@@ -8,7 +8,7 @@ and each fault is reported once.
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -536,14 +536,22 @@ def _dependence(draft: Draft) -> None:
                 if name in draft.numbers:
                     message = f"{shown(name)} is a fixed number. Make it random, or remove it here"
                 raise Fault(message, f"dependence[{index}].of[{at}]")
-        draft.dependence.append(Dependence(**dict(table)))
-        try:
-            make_joint(random, draft.dependence)
-        except LawError as error:
-            key = error.key
-            if key == "spearman" and table.spearman is None:
-                key = "kendall"
-            raise Fault(error.message, f"dependence[{index}]", key) from None
+        tie = Dependence(**dict(table))
+        draft.dependence.append(tie)
+        _joined(random, [tie], index)
+    if draft.dependence:  # all of them at once: some agree only with one that follows
+        _joined(random, draft.dependence, len(draft.dependence) - 1)
+
+
+def _joined(random: Mapping[str, Law], ties: Sequence[Dependence], index: int) -> None:
+    """Check that dependences go together; raises Fault at the one of an index."""
+    try:
+        make_joint(random, ties)
+    except LawError as error:
+        key = error.key
+        if key == "spearman" and ties[-1].spearman is None:
+            key = "kendall"
+        raise Fault(error.message, f"dependence[{index}]", key) from None
 
 
 def _margins(draft: Draft) -> Faults:

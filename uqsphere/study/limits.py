@@ -257,7 +257,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     diameter = columns["diameter"]
     rate = columns.get("rate")
     tension = _warn_of_slips(table, cells, rows, columns, draft)
-    warn_of_rows(cells, rows, tension, stopped, draft)
+    warn_of_rows(table, cells, rows, tension, stopped, draft)
 
     power = _POWERS.get(demand, 2.0)
     mean = float(diameter.mean())

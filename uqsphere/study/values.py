@@ -37,6 +37,7 @@ from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 from uqsphere.uq.fitting import (
     STRENGTHS,
+    fit_strength,
     fitted_law,
     law_of_draws,
     law_of_known_modulus,
@@ -439,7 +440,7 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
         None if end is None else value_of(end, quantity, bounded=False)
         for end in (table.lower, table.upper)
     ]
-    warn_of_rows(cells, rows, columns["column"], stopped, draft)
+    warn_of_rows(table, cells, rows, columns["column"], stopped, draft)
     law = fit(columns["column"], stopped, table, bounds)
     return Number(value=law, synthetic=table.synthetic)
 
@@ -558,9 +559,11 @@ def fit(
         return fitted_law(failures, table.fit, *bounds, censored=censored, unbiased=table.unbiased)
 
 
-def warn_of_rows(cells: Table, rows: Places, x: Array, stopped: Flags, draft: "Draft") -> None:
+def warn_of_rows(
+    table: Observations, cells: Table, rows: Places, x: Array, stopped: Flags, draft: "Draft"
+) -> None:
     """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
-    shape of no fit.
+    shape of no fit; and of a modulus that they contradict, which holds the verdict.
     """
     notes = list(cells.notes)
     lines = [
@@ -581,6 +584,15 @@ def warn_of_rows(cells: Table, rows: Places, x: Array, stopped: Flags, draft: "D
                     f"{cells.name}: neither a Weibull nor a lognormal distribution fits (p = "
                     f"{p:.2g}). Are rows mixed or faulty?"
                 )
+            if table.modulus is not None:
+                low, high = fit_strength(tests, STRENGTHS["weibull"], draws=1000).shape_interval
+                if not low <= table.modulus <= high:
+                    draft.warn(
+                        f"{cells.name}: the observations have a modulus of {low:.3g} to {high:.3g}"
+                        f", not {table.modulus:g}. Is it that of this rock?",
+                        "modulus",
+                        holds="plausibility",
+                    )
     if len(x) < _FEW:
         notes.append(
             f"only {len(x)} observations: the epistemic uncertainty is large. Use at least {_FEW}"

@@ -46,7 +46,7 @@ from .estimate import (
     spreads,
     student,
 )
-from .response import FOLDS, METHOD, ROUNDING, Response, unseen
+from .response import FOLDS, METHOD, MOST, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
@@ -377,6 +377,9 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         lows[:] = 0.0
         highs[:] = 1.0
     best = expanded + _significant(values + likely - expanded, noise, n)
+    if response.error > MOST:
+        # what changes from a row to its neighbours is in no block
+        highs[0] = np.maximum(highs[0], highs[1])
     if not folds:
         # no less than the first index, and at most what the others leave; in between the median of
         # the expansions, which contradict each other
