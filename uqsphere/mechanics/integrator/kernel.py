@@ -52,7 +52,19 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import FACE_A, FACE_B, FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, TERMS, End
+from .tracked import (
+    FACE_A,
+    FACE_B,
+    FULL,
+    GOES_ON,
+    LANES,
+    LINEAR,
+    MASSLESS,
+    PAIR,
+    POINTS,
+    TERMS,
+    End,
+)
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -531,9 +543,13 @@ def _move_on(s, j, ending):
     lane = s.lane[j]
     side = lane.side * LANES + j
     closes = s.x[0, side] <= 0.0
-    s.u[0, j] = s.u[0, LANES + j] = events.value_of(s.u, j, ending)
+    if ending < s.theta[j]:
+        s.u_end[j] = events.value_of(s.u, j, ending)
+        for m in range(j, PAIR, LANES):
+            s.at[POINTS, m] = events.value_of(s.x, m, ending)
+    s.u[0, j] = s.u[0, LANES + j] = s.u_end[j]
     for m in range(j, PAIR, LANES):
-        s.x[0, m] = events.value_of(s.x, m, ending)
+        s.x[0, m] = s.at[POINTS, m]
     lane.touching = 0
     lane.single = 0
     if lane.why == End.CONTACT:

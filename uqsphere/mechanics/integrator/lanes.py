@@ -81,12 +81,17 @@ def _roots(s, k):
 def _next_terms(s, k, lanes):
     """The coefficients k + 1 of the motion, (9) or (R3)."""
     share = 1.0 / (k + 1.0)
-    for c in range(PAIR):
-        h = s.h[c] * share
-        force = s.force[k, c]
-        rate = s.push[k, c] + s.free[k, c] - s.gives[c] * force - s.side_sign[c] * s.u[k, c]
-        s.x[k + 1, c] = h * s.there[c] * rate
-        s.free[k + 1, c] = -h * s.lightness[c] * force
+    if s.rigged:
+        for c in range(PAIR):
+            h = s.h[c] * share
+            force = s.force[k, c]
+            rate = s.push[k, c] + s.free[k, c] - s.gives[c] * force - s.side_sign[c] * s.u[k, c]
+            s.x[k + 1, c] = h * s.there[c] * rate
+            s.free[k + 1, c] = -h * s.lightness[c] * force
+    else:
+        for c in range(PAIR):
+            rate = s.push[k, c] - s.force[k, c] - s.side_sign[c] * s.u[k, c]
+            s.x[k + 1, c] = s.h[c] * share * rate
     if s.mode == MASSLESS:  # both faces move alike, and u stays 0
         for j in range(lanes):
             rate = 0.5 * (s.push[k, j] + s.push[k, LANES + j]) - s.force[k, j]
@@ -159,19 +164,21 @@ def reach(s):
     p = ORDER - 1
     n = ORDER - 4
     r = ORDER - 5
-    for c in range(PAIR):
-        before = abs(s.x[p, c])
-        last = abs(s.x[o, c])
-        late = max(before, last)
-        early = max(abs(s.x[r, c]), abs(s.x[n, c]))
-        s.circle[c] = _CIRCLE * math.sqrt(math.sqrt(early / (late + 1e-300)))
-        s.late[c] = late / s.size[c]
-        s.before[c] = max(before / s.size[c], abs(s.free[p, c]) / s.free_size[c])
-        s.last[c] = max(last / s.size[c], abs(s.free[o, c]) / s.free_size[c])
     for a in range(LANES):
         b = LANES + a
-        before = max(max(s.before[a], s.before[b]), abs(s.u[p, a]) / s.u_size[a])
-        last = max(max(s.last[a], s.last[b]), abs(s.u[o, a]) / s.u_size[a])
+        before_a = abs(s.x[p, a])
+        before_b = abs(s.x[p, b])
+        last_a = abs(s.x[o, a])
+        last_b = abs(s.x[o, b])
+        x_a = s.size[a]
+        x_b = s.size[b]
+        u = s.u_size[a]
+        v_a = s.free_size[a]
+        v_b = s.free_size[b]
+        before = max(max(before_a / x_a, before_b / x_b), abs(s.u[p, a]) / u)
+        before = max(before, max(abs(s.free[p, a]) / v_a, abs(s.free[p, b]) / v_b))
+        last = max(max(last_a / x_a, last_b / x_b), abs(s.u[o, a]) / u)
+        last = max(last, max(abs(s.free[o, a]) / v_a, abs(s.free[o, b]) / v_b))
         error = s.error[a]
         # theta^15 before + theta^16 last = error, by one step of a fixed-point iteration
         t = math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (before + last + 1e-300)))))
@@ -180,8 +187,14 @@ def reach(s):
         t_15 = t_4 * t_4 * t_4 * (t * t * t)
         sum_15 = t_15 * (before + t * last)
         t *= math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (sum_15 + 1e-300)))))
-        t = min(t, s.circle[a]) if s.late[a] > 1e-3 * error else t
-        t = min(t, s.circle[b]) if s.late[b] > 1e-3 * error else t
+        late_a = max(before_a, last_a)
+        late_b = max(before_b, last_b)
+        early_a = max(abs(s.x[r, a]), abs(s.x[n, a]))
+        early_b = max(abs(s.x[r, b]), abs(s.x[n, b]))
+        circle_a = _CIRCLE * math.sqrt(math.sqrt(early_a / (late_a + 1e-300)))
+        circle_b = _CIRCLE * math.sqrt(math.sqrt(early_b / (late_b + 1e-300)))
+        t = min(t, circle_a) if late_a > 1e-3 * error * x_a else t
+        t = min(t, circle_b) if late_b > 1e-3 * error * x_b else t
         # a series that has overflowed says nothing, except that the step was far too long
         s.theta[a] = t if before + last < 1e200 else 0.0
 
@@ -228,7 +241,7 @@ def keep_roots(s):
 
 @compiled
 def survey(s):
-    """Approaches and rates at the nodes of every step, and their bounds between them."""
+    """Approaches and rates at the nodes of every step, their bounds between them, other ends."""
     for c in range(PAIR):
         s.at[0, c] = s.x[0, c]
         s.rate[0, c] = s.x[1, c]
@@ -258,6 +271,11 @@ def survey(s):
             floor = min(floor, min(left, right) + min(bow, 0.0))
         s.top[c] = top
         s.floor[c] = floor
+    for c in range(PAIR):
+        u = s.u[ORDER, c]
+        for k in range(1, TERMS):
+            u = u * s.theta[c] + s.u[ORDER - k, c]
+        s.u_end[c] = u
 
 
 # --- waves that come back

@@ -298,10 +298,6 @@ STATE = np.dtype(
             _FACE,
             # the step
             "h",  # t_c; length of the trial step; try_step, read_echo
-            "before",  # last term of x or U but one, over its scale; reach
-            "last",  # last one; reach
-            "late",  # larger one of x; reach
-            "circle",  # theta in which the series of x holds; reach
             "theta",  # share of the trial step that is taken; reach, choose, keep_roots
             "size",  # scale of x; enter, move_on
             "free_size",  # scale of U; enter, move_on
@@ -344,6 +340,7 @@ STATE = np.dtype(
             "wrong",  # error of the force by its root at the step's end; keep_roots
             "top",  # bound of an approach above; survey
             "floor",  # and below; survey
+            "u_end",  # u at the step's end; survey
         ),
         *_fields(
             "f8",
@@ -357,6 +354,12 @@ STATE = np.dtype(
             "force",  # expand
             "beside",  # x, or on virgin loading k times the terms of l; expand
         ),
+        ("lane", LANE, LANES),  # what goes lane by lane
+        ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
+        ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echo
+        ("degrees", "f8", (WAVE, PAIR)),  # its Chebyshev coefficients; fit_echoes
+        ("at", "f8", (POINTS + 1, PAIR)),  # approaches at equal distances; survey
+        ("rate", "f8", (POINTS + 1, PAIR)),  # their derivatives by theta; survey
         *_fields(
             "f8",
             5,
@@ -390,12 +393,6 @@ STATE = np.dtype(
             "local",  # error allowed in one step
             "closer",  # share of it once a face has yielded
         ),
-        ("lane", LANE, LANES),  # what goes lane by lane
-        ("queue", "f8", (2, LANES, QUEUE)),  # t_c; jumps under way in the bars; reflect_break
-        ("echo", "f8", (WAVE, PAIR)),  # wave that comes back at Chebyshev points; read_echo
-        ("degrees", "f8", (WAVE, PAIR)),  # its Chebyshev coefficients; fit_echoes
-        ("at", "f8", (POINTS + 1, PAIR)),  # approaches at equal distances; survey
-        ("rate", "f8", (POINTS + 1, PAIR)),  # their derivatives by theta; survey
         ("work", "f8", WAVE),  # values of an echo; read_echo
         ("cell_end", "f8", (2, CELLS)),  # t_c; ends of the cells of waves under way; records
         ("cells", "i8", 2),  # how many of them; records
