@@ -152,6 +152,15 @@ class Design:
         return self.study.at_means().get(margins.solve)
 
     @property
+    def free_quantity(self) -> str:
+        """What gives the free number its unit: itself, or the demand on the strength it is."""
+        margins = self.study.margins
+        assert margins is not None
+        if margins.limit is None:
+            return margins.solve
+        return next(limit.quantity for limit in self.limits if limit.name == margins.limit)
+
+    @property
     def on_failure(self) -> str:
         """What becomes of failed rows, as the estimates take it."""
         if self.study.analysis.policy == "bound":

@@ -46,7 +46,7 @@ def fragility(tables: Tables) -> Rows:
         for row in fitted.curve:
             yield number_row(subject, "curve", *row, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
-            unit = lookup(margins.solve).unit
+            unit = lookup(design.free_quantity).unit
             yield estimate_row(subject, "margin", p, estimate, unit=unit, runs=runs)
         allowed = fitted.values[limit.allowable]
         if not allowed.value or not planned or not limit.has_target:

@@ -9,6 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 from uqsphere.models.model import Model
+from uqsphere.models.rows import Interrupted
 from uqsphere.results.answers import Rows, estimate_row
 from uqsphere.uq import absent
 
@@ -96,8 +97,11 @@ def salib_indices(tables: Tables, model: Model) -> Rows:
             reason = "the model is too slow for a design of its own"
         elif method == "morris":
             uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=seed)
-            values = model.evaluate(names, rows, design.described).values
-            columns = dict(zip(design.described, values.T, strict=True))
+            try:
+                values = model.evaluate(names, rows, design.described).values
+                columns = dict(zip(design.described, values.T, strict=True))
+            except Interrupted:
+                reason = "interrupted before the runs of its design were there"
         for name, outputs in columns.items():
             if reason:
                 row = [absent(reason, f"SALib {method}", 0)] * len(names)

@@ -549,15 +549,18 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
     if doubt.opposite is None:
         name = doubt.detail.replace("weibull", "Weibull")
         at = "assumed: " + _TEXTS[doubt.code].format(name)
-        if doubt.code == "contact law" and name:
+        if doubt.code == "contact law" and len(doubt.laws) > 1:
+            at += f", what the tests leave open ({name})"
+        elif doubt.code == "contact law" and name:
             at += f", {name} strength"
         value = limit.missed(doubt.single[0])
     else:
         at = f"tests: {doubt.detail}"
+        value = None
+        low, high = sorted(limit.missed(end[0]) for end in (doubt.curve, doubt.opposite))
         if isinstance(law, Law) and law.family.name == doubt.detail:
             at = "tests"
-        low, high = sorted(limit.missed(end[0]) for end in (doubt.curve, doubt.opposite))
-        value = np.clip(limit.missed(judged.plan.middle(limit)[0]), low, high)
+            value = np.clip(limit.missed(judged.plan.middle(limit)[0]), low, high)
         note = (
             f"{LEVEL_TEXT} range over the strengths that the tests allow, with the other failure "
             "modes"
@@ -580,7 +583,7 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
             "margin",
             at,
             margin,
-            unit=lookup(margins.solve).unit,
+            unit=lookup(aim.design.free_quantity).unit,
             runs=judged.settled.line.rows.size,
             method="epistemic",
             note="conservative end, with the other failure modes",

@@ -163,13 +163,17 @@ def free_number_of(design: Design) -> FreeNumber | None:
     if margins is None:
         return None
     low, high = margins.between
+    meaning = lookup(margins.solve).meaning.partition(":")[0]
+    if margins.limit is not None:
+        meaning = f"strength of {margins.limit}"
     return FreeNumber(
         path=margins.solve,
-        meaning=lookup(margins.solve).meaning.partition(":")[0],
+        quantity=design.free_quantity,
+        meaning=meaning,
         planned=design.planned,
         low=low,
         high=high,
-        unit=display_unit(margins.solve)[0],
+        unit=display_unit(design.free_quantity)[0],
     )
 
 

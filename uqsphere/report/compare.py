@@ -181,7 +181,7 @@ def _text(row: _Change, runs: Sequence[Run]) -> str:
         elif row.answer in OF_QUANTITIES:
             text = format_value(x, row.subject)
         elif row.answer == Kind.MARGIN and free is not None:
-            text = format_value(x, free.path)
+            text = format_value(x, free.quantity)
         elif row.answer in PROBABILITIES:
             text = format_probability(x)
         texts.append(text)

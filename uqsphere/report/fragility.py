@@ -131,7 +131,7 @@ def draw_fragility(
     assert free is not None
     planned = planned_value(free)
     used = [decision for decision in results.decisions if decision.use and limit is None]
-    unit, factor = display_unit(free.path, planned or free.high)
+    unit, factor = display_unit(free.quantity, planned or free.high)
     places = [decision.use.value for decision in used if decision.use]
     if planned is not None:
         places.append(planned)
@@ -158,7 +158,7 @@ def draw_fragility(
     if planned is not None:
         axes.axvline(planned * factor, color=INK, linewidth=1.2, zorder=1.5)
         word = "plan" if brief else "planned"
-        text = f"{word} {format_value(planned, free.path, 3)}"
+        text = f"{word} {format_value(planned, free.quantity, 3)}"
         below.append(_Label(planned * factor, text, INK))
     for decision in used:
         text = small(DecisionText(results, decision).use)

@@ -202,7 +202,7 @@ class DecisionText:
         if x is None or self._free is None:
             return "none"
         free = self._free
-        return format_conservative(x, free.path, least=self._least, planned=free.planned)
+        return format_conservative(x, free.quantity, least=self._least, planned=free.planned)
 
     def _allowed(self, x: float) -> str:
         return f"at {'least' if self._least else 'most'} {self.number(x)}"
@@ -217,7 +217,9 @@ class DecisionText:
     def _ends(self) -> str:
         """Both ends of the range of the free number."""
         assert self._free is not None
-        return " and ".join(value(x, self._free.path) for x in (self._free.low, self._free.high))
+        return " and ".join(
+            value(x, self._free.quantity) for x in (self._free.low, self._free.high)
+        )
 
     def _plan(self, free: FreeNumber) -> str:
         """The planned value, and how it stands to the number to use."""
@@ -225,9 +227,9 @@ class DecisionText:
         use = self.decision.use
         if planned is None:
             return ""
-        text = f"Planned {free.meaning}: {value(planned, free.path)}"
+        text = f"Planned {free.meaning}: {value(planned, free.quantity)}"
         if use is not None and use.value > 0.0 and planned > 0.0:
-            used = round_conservative(use.value, use.path, least=self._least, planned=planned)
+            used = round_conservative(use.value, free.quantity, least=self._least, planned=planned)
             factor = used / planned
             if self._least:
                 factor = 1.0 / factor
@@ -341,7 +343,7 @@ class DecisionText:
                     f"damage that is not counted: {name} in {p} of the spheres at the planned value"
                 )
                 if doubt.margin is not None and self._free is not None:
-                    at = value(doubt.margin, self._free.path)
+                    at = value(doubt.margin, self._free.quantity)
                     text += f", in {format_probability(doubt.target)} at {at}"
                 yield f"{text} (analysis.damage_counts = true counts it)"
 

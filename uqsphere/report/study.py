@@ -161,7 +161,7 @@ def cost(study: Study) -> str:
     # the error falls with the runs n as n^(-1) to n^(-3/4)
     needed = np.clip(runs * error ** np.array([1.0, 4.0 / 3.0]), first, budget.evaluations)
     seconds = took + needed * each + REPORT_SECONDS
-    total = " to ".join(dict.fromkeys(f"{float(f'{count:.2g}'):,.0f}" for count in needed))
+    total = " to ".join(dict.fromkeys(f"{float(f'{count:.3g}'):,.0f}" for count in needed))
     lasts = " to ".join(dict.fromkeys(f"{float(f'{last:.2g}'):,g}" for last in seconds))
     return f"{start}: about {total} in total, {lasts} s with analysis and report."
 

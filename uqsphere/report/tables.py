@@ -131,7 +131,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
     margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
-    texts = iter(format_together(margins, free.path))
+    texts = iter(format_together(margins, free.quantity))
     rows = []
     for doubt in doubts:
         margin = _WITHOUT_MARGIN[doubt.margin_note][1]
@@ -173,9 +173,12 @@ def limits(results: Results) -> PageTable:
             # of the probability beside it
             cells[2] = f"{-beta.value if entry.aim == 'break' else beta.value:.2f}"
         if free is not None:
-            cells.append(_best_estimate(answers, subject, entry, free))
+            best = DASH
+            if entry.aim in {decision.aim for decision in results.decisions}:
+                best = _best_estimate(answers, subject, entry, free)
+            cells.append(best)
             alone = aims.count(entry.aim) == 1
-            cells += _number_to_use(results, subject, free.path) if alone else ["", ""]
+            cells += _number_to_use(results, subject, free.quantity) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
     for decision in results.decisions:
@@ -211,8 +214,8 @@ def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, free: Free
     if row is None:
         return DASH
     if row.value is None:
-        return f"outside {value(free.low, free.path)} to {value(free.high, free.path)}"
-    return value(row.value, free.path)
+        return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
+    return value(row.value, free.quantity)
 
 
 def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
@@ -236,13 +239,14 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     number = DecisionText(results, decision).number
     use = decision.use
     own = decision.own
+    free = results.study.free
     if own is not None and own.margin is not None and decision.all_modes is not None:
         p = probability(as_event(decision.aim, decision.probability))
         yield "your own limits", p, "", "", number(own.margin), "", "", ""
-    if use is not None:
+    if use is not None and free is not None:
         p = probability(joint_event(decision))
-        best = value(use.best.value, use.path)
-        span = value_range(use.best.low, use.best.high, use.path)
+        best = value(use.best.value, free.quantity)
+        span = value_range(use.best.low, use.best.high, free.quantity)
         together = all_modes(decision).replace("all failure modes", "all together")
         name = f"{together}, to {decision.aim}"
         yield name, p, "", best, number(use.value), span, "", ""
@@ -373,7 +377,7 @@ def margins(results: Results) -> PageTable:
     body = []
     for p in sorted({*itertools.chain(*asked.values())}):
         margins = (answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
-        body.append((format_probability(p), *(estimate(row, free.path) for row in margins)))
+        body.append((format_probability(p), *(estimate(row, free.quantity) for row in margins)))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results)}",
         ("probability", *asked),

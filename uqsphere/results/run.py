@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
@@ -188,7 +189,10 @@ class Run:
 
     def _one(self, limit: str, answer: str, at: float | str) -> pd.Series:
         rows = self._rows(self._subject(limit), answer)
-        rows = rows[rows["at"] == at]
+        if isinstance(at, str):
+            rows = rows[rows["at"] == at]
+        else:
+            rows = rows[[isinstance(x, float) and math.isclose(x, at) for x in rows["at"]]]
         if rows.empty:
             raise UsageError(f"the run has no {answer} of {limit!r} at {at!r}")
         return rows.iloc[0][["value", "low", "high", "low_unseen", "high_unseen", "method", "note"]]

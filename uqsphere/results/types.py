@@ -201,6 +201,8 @@ class FreeNumber(Part):
 
     path: str
     """dotted key, for example striker.speed"""
+    quantity: str
+    """quantity that it has the unit of: its key, or the demand on a strength"""
     meaning: str
     planned: Finite
     """its value in the study"""

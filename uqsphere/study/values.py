@@ -454,6 +454,7 @@ _DRAWN = {
     "shape": "number",
     "bound": "number",
     "tests": "number",
+    "synthetic": "number",
     "size_exponent": "number",
     "diameter": "length",
     "smallest": "length",
@@ -490,7 +491,8 @@ def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
             diameters=sizes if 0.0 < sizes[0] <= sizes[1] else (),
         )
     law = law_of_draws(draws.tolist(), int(first["tests"]))
-    return Number(value=law, synthetic=table.synthetic, tested=tested)
+    synthetic = table.synthetic or first["synthetic"] > 0.0
+    return Number(value=law, synthetic=synthetic, tested=tested)
 
 
 def observations(

@@ -42,7 +42,10 @@ def _run(chosen: argparse.Namespace) -> None:
     low, high = posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
     content: dict[str, Any] = {**fitted, "strength_at": at}
-    files = {"draws.csv": posterior.strength_csv(at), "fit.json": _json(content)}
+    files = {
+        "draws.csv": posterior.strength_csv(at, synthetic=asked.tests.synthetic),
+        "fit.json": _json(content),
+    }
     text = _fit_text(content)
     warnings = [*fitted["warnings"]]
     if not low / UNTESTED <= at <= high * UNTESTED:

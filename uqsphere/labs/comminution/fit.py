@@ -119,11 +119,11 @@ class Posterior(NamedTuple):
         step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
         return np.log(step)[:, 0] / math.log(1.01**2)
 
-    def strength_csv(self, diameter: float) -> str:
+    def strength_csv(self, diameter: float, *, synthetic: bool = False) -> str:
         """Draws of the strength of particles of one size [m], as a study reads them.
 
-        Distribution, scale, shape, bound; number of tests; the size that they hold for, the local
-        power of the size law, and the tested sizes.
+        Distribution, scale, shape, bound; number of tests, and whether they are synthetic; the size
+        that they hold for, the local power of the size law, and the tested sizes.
         """
         median = self.median(diameter)[:, 0]
         bounded = np.array([model.law == "lognormal" for model in self.models])[self.law]
@@ -135,6 +135,7 @@ class Posterior(NamedTuple):
             "shape": shape,
             "bound": bounded / self.models[0].ratio,
             "tests": self.tests,
+            "synthetic": int(synthetic),
             "diameter [mm]": diameter * 1e3,
             "size_exponent": self.slope(diameter) * (self.models[0].size != "class"),
             "smallest [mm]": self.tested[0] * 1e3,
