@@ -509,3 +509,118 @@ def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
     caveats = [Caveat(code="rate", subject="limits.whole.strength")]
     assert verdicts._remedy(judged, verdict, caveats).code == "include the rate"
     assert verdicts._remedy(judged, verdict, []).code == "test more"
+
+
+# --- targets that few rows cannot show, ties, and answers that contradict each other --------------
+
+
+@pytest.mark.parametrize(
+    ("aim", "strength", "target", "safe"),
+    [
+        # rows of a fixed strength are counted: 256 at a value leave 1.2 % possible
+        ("survive", 1.0, 0.01, lambda q: math.exp(-q * SCATTER)),
+        ("survive", 1.0, 0.001, lambda q: math.exp(-q * SCATTER)),
+        ("break", 1.0, 0.001, lambda q: math.exp(q * SCATTER)),
+        # those of a distribution without ends are not
+        ("survive", STRENGTH, 1e-6, lambda q: math.exp(-q * math.hypot(SCATTER, 0.2))),
+        ("break", STRENGTH, 1e-6, lambda q: math.exp(q * math.hypot(SCATTER, 0.2))),
+    ],
+)
+def test_a_small_target_has_a_number(aim: str, strength: Any, target: float, safe: Any) -> None:
+    (decision,) = decided({"a": limit(aim, target, strength)})
+    true = safe(float(stats.norm.isf(target))) * math.exp(0.5 * SCATTER**2)
+    assert decision.use is not None
+    assert not decision.blocked_by
+    computed = next(row for row in decision.doubts if row.code == "computation")
+    assert computed.margin is not None
+    ratio = computed.margin / true if aim == "break" else true / computed.margin
+    assert 0.99 < ratio < 1.1
+
+
+@pytest.mark.parametrize("rank", [-0.95, 0.95])
+def test_strengths_that_depend_on_each_other_add_up_as_they_do(rank: float) -> None:
+    weibull = '{ dist = "weibull", mean = "20 kN", modulus = 6 }'
+    limit_of_force = f'quantity = "P_max", target = 0.5, strength = {weibull}'
+    text = f"""
+        sphere = {{ material = "granite", E = "52 GPa", nu = 0.25, radius = "10 mm" }}
+        rig.kind = "platens"
+        contact.law = "hertz"
+        analysis = {{ quantities = ["P_max"], failure_modes = "given" }}
+        limits.a = {{ {limit_of_force} }}
+        limits.b = {{ {limit_of_force}, model_factor = 0.999 }}
+        [platens]
+        material = "steel"
+        force = {{ dist = "normal", mean = "15 kN", cov = "5 %" }}
+        [[dependence]]
+        of = ["limits.a.strength", "limits.b.strength"]
+        spearman = {rank}
+        [margins]
+        solve = "platens.force"
+        between = ["0.5 kN", "40 kN"]
+        """
+    (decision,) = uqsphere.run(load_study(Path("study.toml"), text=text)).results.decisions
+    correlation = 2.0 * math.sin(math.pi * rank / 6.0)
+    z = np.random.default_rng(1).standard_normal((3, 400_000))
+    z[1] = correlation * z[0] + math.sqrt(1.0 - correlation**2) * z[1]
+    scale = 20.0 / math.gamma(1.0 + 1.0 / 6.0)
+    weakest = stats.weibull_min.ppf(stats.norm.cdf(z[:2]), 6.0, scale=scale).min(axis=0)
+    true = float((15.0 * (1.0 + 0.05 * z[2]) > weakest).mean())
+    computed = next(row for row in decision.doubts if row.code == "computation")
+    independent = next(row for row in decision.doubts if row.code == "tie")
+    # the upper end of its interval
+    assert computed.at_plan.value is not None
+    assert 0.99 * true < computed.at_plan.value < 1.12 * true
+    assert independent.at_plan.value is not None
+    assert abs(independent.at_plan.value - true) > 0.05 * true
+
+
+def test_a_plan_that_misses_its_target_is_not_called_safe_by_a_curve() -> None:
+    """A slow model with a jump along the free number, whose expansions smooth it."""
+    study = Study(
+        inputs={
+            "v": 9.69,
+            "a": {"dist": "normal", "mean": 0.0, "sd": 1.0},
+            "b": {"dist": "normal", "mean": 0.0, "sd": 1.0},
+        },
+        outputs="y",
+        seed=2,
+        limits={"high": {"quantity": "y", "strength": 4.0, "aim": "survive", "target": 0.1}},
+        margins={"solve": "v", "between": [5.0, 15.0]},
+        analysis={"cost": "10 s", "budget": {"evaluations": 256, "time": "100 h"}},
+    )
+
+    def jump(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": x["a"] + 6.0 * (x["v"] + 0.3 * x["b"] > 10.0)}
+
+    (decision,) = uqsphere.run(study, jump).results.decisions
+    assert decision.probability.low is not None
+    assert decision.probability.low > 0.1
+    assert decision.verdict in ("not met", "undecided")
+    assert decision.use is None
+
+
+def test_a_caveat_of_the_other_aim_holds_nothing() -> None:
+    limits = {"a": limit("survive", 0.02), "b": limit("break", 0.02, quantity="z")}
+    study = Study(
+        inputs={"load": LOAD | {"mean": 0.05}},
+        outputs=["y", "z"],
+        limits=limits,
+        margins=MARGINS,
+        analysis=LOOSE,
+    )
+    study = dataclasses.replace(study, caveats=(("unit", "limits.b.strength", "is it kPa?"),))
+    held = uqsphere.run(study, doubled).results.decisions
+    assert {decision.aim: decision.verdict for decision in held} == {
+        "survive": "met",
+        "break": "not established",
+    }
+
+
+def test_modes_that_add_up_keep_the_bound_of_a_limit() -> None:
+    estimate = Estimate(
+        low=0.0, high=1e-3, high_unseen=2e-3, method="search", evaluations=9, reason="none seen"
+    )
+    added = verdicts._added(estimate, np.full(16, 1e-5))
+    assert added.value == pytest.approx(1e-5)
+    assert added.high == pytest.approx(1.01e-3)
+    assert added.high_unseen == pytest.approx(2.01e-3)

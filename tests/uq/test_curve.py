@@ -114,3 +114,30 @@ def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
 def test_a_grid_that_does_not_increase_is_refused(grid: list[float]) -> None:
     with pytest.raises(ValueError, match="two increasing values"):
         fragility(np.array(grid), np.zeros((len(grid), 3)), (0.5,), samples=10, evaluations=1)
+
+
+def test_counts_that_cannot_show_a_probability_give_no_value() -> None:
+    """Sixteen replicates of sixteen samples: five would have to show it."""
+    uniforms = np.random.default_rng(4).random((16, 16))
+    counted = np.array([(uniforms < p).mean(axis=1) for p in lognormal(GRID)])
+    found = fragility(GRID, counted, (0.01, 0.1), samples=16, evaluations=1)
+    assert found.values[0.01].value is None
+    assert found.values[0.01].reason == "256 samples at a value are too few to show it"
+    at_tenth = found.values[0.1]
+    true = MEDIAN * math.exp(SCATTER * ndtri(0.1))
+    assert at_tenth.low is not None
+    assert at_tenth.high is not None
+    assert at_tenth.low < true < at_tenth.high
+
+
+def test_margins_of_counts_hold_in_most_tries() -> None:
+    held = []
+    for seed in range(60):
+        uniforms = np.random.default_rng(seed).random((16, 64))
+        counted = np.array([(uniforms < p).mean(axis=1) for p in lognormal(GRID)])
+        margin = fragility(GRID, counted, (0.02,), samples=64, evaluations=1).values[0.02]
+        true = MEDIAN * math.exp(SCATTER * ndtri(0.02))
+        assert margin.low is not None
+        assert margin.high is not None
+        held.append(margin.low <= true <= margin.high)
+    assert np.mean(held) > 0.9

@@ -86,16 +86,16 @@ class Judged:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the plan surely misses a target though it lies on the safe side of the number:
-        the curve along the free number is not known well enough.
+        """Whether the plan misses a target by its whole interval though it lies on the safe side
+        of the number: the curve along the free number is not known well enough.
         """
         number = self.settled.use
         planned = self.aim.design.planned
         if number is None or planned is None:
             return False
         safe = planned >= number if self.settled.least else planned <= number
-        met = [target_met(self.all_modes[limit.name], limit.target) for limit in self.aim.limits]
-        return safe and False in met
+        lowest = [(self.all_modes[limit.name].low or 0.0, limit) for limit in self.aim.limits]
+        return safe and any(low > limit.target for low, limit in lowest)
 
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""
