@@ -64,22 +64,22 @@ def test_a_bound_of_a_probability_is_rounded_outwards() -> None:
 def test_conservative_values_never_pass_the_bound() -> None:
     rng = np.random.default_rng(5)
     for value in 10.0 ** rng.uniform(-6.0, 3.0, 300):
-        down = round_conservative(value, "striker.speed", least=False)
-        up = round_conservative(value, "striker.speed", least=True)
+        down = round_conservative(value, "striker.speed", safe_above=False)
+        up = round_conservative(value, "striker.speed", safe_above=True)
         assert down <= value * (1.0 + 1e-9)
         assert up >= value * (1.0 - 1e-9)
         assert up - down <= 0.101 * value
         # what is shown is the rounded number itself
-        number, unit = format_conservative(value, "striker.speed", least=False).split()
+        number, unit = format_conservative(value, "striker.speed", safe_above=False).split()
         assert unit == "m/s"
         assert float(number) == pytest.approx(down, rel=1e-12)
 
 
 def test_round_numbers_stay_as_they_are() -> None:
     for least in (False, True):
-        assert format_conservative(0.12, "striker.speed", least=least) == "0.12 m/s"
-        assert format_conservative(0.65 + 1e-16, "striker.speed", least=least) == "0.65 m/s"
-    assert format_conservative(0.0, "striker.speed", least=True) == "0 m/s"
+        assert format_conservative(0.12, "striker.speed", safe_above=least) == "0.12 m/s"
+        assert format_conservative(0.65 + 1e-16, "striker.speed", safe_above=least) == "0.65 m/s"
+    assert format_conservative(0.0, "striker.speed", safe_above=True) == "0 m/s"
 
 
 def test_estimates_have_the_digits_of_their_interval() -> None:

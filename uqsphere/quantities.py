@@ -106,28 +106,28 @@ def format_together(values: Sequence[float], name: str) -> list[str]:
 
 
 def round_conservative(
-    value: float, name: str, *, least: bool, planned: float | None = None
+    value: float, name: str, *, safe_above: bool, planned: float | None = None
 ) -> float:
-    """A conservative bound [SI] rounded to what people read: up if it is the `least` allowable
+    """A conservative bound [SI] rounded to what people read: up if it is the least allowable
     value, else down.
 
     Further digits are kept where two would give away more than 5 %, or would leave a planned value
     without margin that has one.  Ratios that stand beside the rounded number are computed from it,
     so that text and ratio agree.
 
-    >>> [round_conservative(x, "striker.speed", least=False) for x in (0.458, 1.08)]
+    >>> [round_conservative(x, "striker.speed", safe_above=False) for x in (0.458, 1.08)]
     [0.45, 1.08]
-    >>> round_conservative(0.458, "striker.speed", least=False, planned=0.456)
+    >>> round_conservative(0.458, "striker.speed", safe_above=False, planned=0.456)
     0.458
     """
     factor = display_unit(name, value)[1]
     scaled = value * factor
-    direction = 1 if least else -1
+    direction = 1 if safe_above else -1
     rounded = scaled
     for digits in (2, 3, 4, 5):
         rounded = _significant(scaled, digits, direction)
         passed = planned is not None and rounded < planned * factor <= scaled
-        if least:
+        if safe_above:
             passed = planned is not None and scaled <= planned * factor < rounded
         if abs(rounded - scaled) <= 0.05 * abs(scaled) and not passed:
             break
@@ -135,15 +135,15 @@ def round_conservative(
 
 
 def format_conservative(
-    value: float, name: str, *, least: bool, planned: float | None = None
+    value: float, name: str, *, safe_above: bool, planned: float | None = None
 ) -> str:
     """Text of a conservative bound [SI], rounded as `round_conservative` does.
 
-    >>> [format_conservative(0.458, "striker.speed", least=least) for least in (False, True)]
-    ['0.45 m/s', '0.46 m/s']
+    >>> format_conservative(0.458, "striker.speed", safe_above=True)
+    '0.46 m/s'
     """
     unit, factor = display_unit(name, value)
-    rounded = round_conservative(value, name, least=least, planned=planned)
+    rounded = round_conservative(value, name, safe_above=safe_above, planned=planned)
     return f"{rounded * factor:g} {unit}".rstrip()
 
 

@@ -61,7 +61,7 @@ def answer_rows(
         while True:
             model.check_stop()
             if not running:
-                model.staff(total)
+                model.start_workers(total)
             # one call shows what a row takes, before many are handed out
             most = 1
             if model.calls:

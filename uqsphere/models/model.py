@@ -282,7 +282,7 @@ class Model:
         """Whether a row takes so long that its answer is worth storing."""
         return self.seconds_per_row >= _QUICK
 
-    def staff(self, rows: int) -> None:
+    def start_workers(self, rows: int) -> None:
         """Have as many processes as rows are worth: a function begins in this process, a file in
         one of its own. Nothing may be running."""
         limit = self.study.analysis.time_limit
@@ -291,7 +291,7 @@ class Model:
             count = self._processes
         if self.workers.count < count:
             try:
-                self.workers.hire(count)
+                self.workers.start(count)
             except UsageError:
                 if limit is not None:
                     raise

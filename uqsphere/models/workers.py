@@ -297,7 +297,7 @@ class Workers:
         if executor is not None:
             self._packed, self.count = pack(task), _MANY
 
-    def hire(self, count: int) -> None:
+    def start(self, count: int) -> None:
         """Have so many processes of this machine; nothing may be running.
 
         Raises UsageError as `pack`.

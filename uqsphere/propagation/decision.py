@@ -45,7 +45,7 @@ class Settled(Curves):
         return doubts
 
     @cached_property
-    def least(self) -> bool:
+    def safe_above(self) -> bool:
         """Whether larger values are safe: "use at least"."""
         exceeded = sum(self.base(limit)[0].mean(axis=1) for limit in self.aim.limits)
         return bool(exceeded[-1] >= exceeded[0]) != self.aim.survive
@@ -54,7 +54,7 @@ class Settled(Curves):
     def ends(self) -> tuple[float, float]:
         """The safe and the unsafe end of the line."""
         ends = self.line.values[0], self.line.values[-1]
-        if self.least:
+        if self.safe_above:
             return ends[::-1]
         return ends
 
@@ -83,7 +83,7 @@ class Settled(Curves):
         numbers = [margin for margin in margins if margin is not None]
         if len(numbers) < len(margins):
             return None
-        pick = max if self.least else min
+        pick = max if self.safe_above else min
         return pick(filter(math.isfinite, numbers), default=math.inf)
 
     @property

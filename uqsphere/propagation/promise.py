@@ -77,7 +77,7 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     if not limits or settled.use is None:
         return []
     line = settled.line
-    pick = np.maximum if settled.least else np.minimum
+    pick = np.maximum if settled.safe_above else np.minimum
     margins = [settled.ends[1]]
     for doubt in settled.doubts:
         by_tests = doubt.limit in limits and (doubt.code == "computation" or doubt.detail)
@@ -132,7 +132,9 @@ class _Promise:
             location, scale = (part[:, None] for part in kind.fit(logs, leaving))
             centre, inverse = _pivots(kind, tuple(leaving.tolist()), self.limit.allowable)
             strengths = location - scale * centre, scale * inverse
-            at = np.quantile([table(*strengths) for table in tables], ENDS[settled.least], axis=2).T
+            at = np.quantile(
+                [table(*strengths) for table in tables], ENDS[settled.safe_above], axis=2
+            ).T
             # where the limit's share and the other modes make the target
             together = score(self.allowed + added(at))
             target = score(self.limit.allowable)
@@ -281,7 +283,7 @@ def _places(settled: Settled, scores: Array, allowed: Array) -> Array:
     if not settled.aim.survive:
         curves = -curves
         levels = -levels
-    if settled.least:
+    if settled.safe_above:
         curves = curves[:, ::-1]
         fine = fine[::-1]
     rising = np.maximum.accumulate(curves, axis=1)

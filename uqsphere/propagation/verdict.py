@@ -93,7 +93,7 @@ class Judged:
         planned = self.aim.design.planned
         if number is None or planned is None:
             return False
-        safe = planned >= number if self.settled.least else planned <= number
+        safe = planned >= number if self.settled.safe_above else planned <= number
         lowest = [(self.all_modes[limit.name].low or 0.0, limit) for limit in self.aim.limits]
         return safe and any(low > limit.target for low, limit in lowest)
 
@@ -151,7 +151,7 @@ def _turns_back(settled: Settled, plan: Settled, planned: float) -> bool:
     line = settled.line
     if number is None or not line.values[0] < planned < line.values[-1]:
         return False
-    safe_below = not settled.least
+    safe_below = not settled.safe_above
     if math.isfinite(number) and (planned < number) != safe_below:
         return False  # nor does the curve call the plan safe
     for limit in settled.aim.limits:
@@ -286,7 +286,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
         return None
     if planned is not None and number > 0.0 and planned > 0.0:
         factor = number / planned
-        if settled.least:
+        if settled.safe_above:
             factor = planned / number
     best = settled.best_estimate
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
@@ -296,7 +296,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     return Use(
         path=free.solve,
         value=number,
-        safe_end="smallest" if settled.least else "largest",
+        safe_end="smallest" if settled.safe_above else "largest",
         planned=planned,
         safety_factor=factor,
         best=Range(value=best, low=min(ends), high=max(ends)),
@@ -430,7 +430,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     by_margin = True
     if margin is not None and planned is not None:
         by_margin = planned <= margin
-        if judged.settled.least and margin != math.inf:
+        if judged.settled.safe_above and margin != math.inf:
             by_margin = planned >= margin
         if doubt.code != "computation":
             return by_margin

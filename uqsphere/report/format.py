@@ -219,7 +219,7 @@ def label(subject: str) -> str:
     return plain_name(subject)
 
 
-def is_least(decision: Decision) -> bool:
+def safe_above(decision: Decision) -> bool:
     """Whether the number to use of a decision is the least allowable one."""
     if decision.use is None:
         return decision.aim == "break"

@@ -29,11 +29,11 @@ from .format import (
     DASH,
     Estimated,
     capital,
-    is_least,
     meaning,
     plain_name,
     plain_probability,
     probability,
+    safe_above,
     small,
     value,
 )
@@ -64,7 +64,7 @@ class DecisionText:
         self.results, self.decision = results, decision
         self.aim = f"To {decision.aim}"
         self._free = results.study.free
-        self._least = is_least(decision)
+        self._safe_above = safe_above(decision)
         #: the doubt that sets the number to use
         self._governing = [doubt for doubt in decision.doubts if doubt.governs]
 
@@ -202,10 +202,12 @@ class DecisionText:
         if x is None or self._free is None:
             return "none"
         free = self._free
-        return format_conservative(x, free.quantity, least=self._least, planned=free.planned)
+        return format_conservative(
+            x, free.quantity, safe_above=self._safe_above, planned=free.planned
+        )
 
     def _allowed(self, x: float) -> str:
-        return f"at {'least' if self._least else 'most'} {self.number(x)}"
+        return f"at {'least' if self._safe_above else 'most'} {self.number(x)}"
 
     @property
     def _kept_everywhere(self) -> bool:
@@ -229,9 +231,11 @@ class DecisionText:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.quantity)}"
         if use is not None and use.value > 0.0 and planned > 0.0:
-            used = round_conservative(use.value, free.quantity, least=self._least, planned=planned)
+            used = round_conservative(
+                use.value, free.quantity, safe_above=self._safe_above, planned=planned
+            )
             factor = used / planned
-            if self._least:
+            if self._safe_above:
                 factor = 1.0 / factor
             unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
             if factor < 1.0:
@@ -255,7 +259,7 @@ class DecisionText:
         for doubt in self._setting:
             clause = _words(doubt)[0]
             if doubt.code in ("tests", "computation"):
-                end = "upper" if self._least else "lower"
+                end = "upper" if self._safe_above else "lower"
                 clause = f"by the {end} end of {clause.removeprefix('with ')}"
             if doubt.subject != self.decision.governing:
                 text += f"; the number is that of {plain_name(doubt.subject)}"
@@ -272,7 +276,7 @@ class DecisionText:
         if self.decision.use is None or not doubts:
             return self._governing[:1]
         number = self.number
-        pick = max if self._least else min
+        pick = max if self._safe_above else min
         worst = pick(doubts, key=lambda doubt: doubt.margin or 0.0)
         if any(number(doubt.margin) == number(worst.margin) for doubt in self._governing):
             return self._governing[:1]

@@ -28,10 +28,10 @@ from .format import (
     entries_of,
     estimate,
     index,
-    is_least,
     label,
     meaning,
     probability,
+    safe_above,
     source_text,
     table_of,
     title_of,
@@ -121,7 +121,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     if free is None:
         return PageTable()
     sign = 1.0
-    if is_least(decision):
+    if safe_above(decision):
         sign = -1.0
 
     def order(doubt: Doubt) -> float:
@@ -226,7 +226,7 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
         if any(doubt.margin_note == "nowhere" for doubt in doubts):
             return ["none", DASH]
         if margins:
-            worst = max if is_least(decision) else min
+            worst = max if safe_above(decision) else min
             number = DecisionText(results, decision).number(worst(margins))
             return [number, value_range(min(margins), max(margins), path)]
         if doubts:
