@@ -247,14 +247,17 @@ def test_one_break_beside_survivors_shows_no_scatter() -> None:
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
     assert lines[0] == (
-        "distribution,scale [J/kg],shape,bound,tests,diameter [mm],size_exponent,smallest [mm],"
-        "largest [mm]"
+        "distribution,scale [J/kg],shape,bound,tests,synthetic,diameter [mm],size_exponent,"
+        "smallest [mm],largest [mm]"
     )
     assert len(lines) == 4001
     energy = 60.0
     from_law = fitted.posterior.broken(energy, 0.01)[:, 0]
     for k in (0, 17, 4000 - 1):
-        name, scale, shape, bound, tests, size, exponent, *sizes = lines[k + 1].split(",")
+        name, scale, shape, bound, tests, synthetic, size, exponent, *sizes = lines[k + 1].split(
+            ","
+        )
+        assert synthetic == "0"
         assert [float(size) for size in sizes] == [2.0, 20.0]
         larger = fitted.posterior.median(0.012)[k, 0] / fitted.posterior.median(0.01)[k, 0]
         assert larger == pytest.approx(1.2 ** float(exponent), rel=0.01)
@@ -621,6 +624,10 @@ def test_drop_weight_tests_that_break_half_break_half_in_the_same_drop_weight(
     rows_of = (frame.subject == "limits.fracture") & (frame.answer == "exceedance_probability")
     (answer,) = frame[rows_of].itertuples()
     assert answer.value == pytest.approx(0.5, abs=0.04)
+    # draws of synthetic tests establish no verdict
+    assert not uqsphere.load_study(tmp_path / "loop.toml").made_up
+    (tmp_path / "draws.csv").write_text(fitted.posterior.strength_csv(0.02, synthetic=True))
+    assert "limits.fracture.strength" in uqsphere.load_study(tmp_path / "loop.toml").made_up
 
 
 @pytest.mark.parametrize("rig", ["drop_weight", "impact", "drop"])

@@ -624,3 +624,41 @@ def test_modes_that_add_up_keep_the_bound_of_a_limit() -> None:
     assert added.value == pytest.approx(1e-5)
     assert added.high == pytest.approx(1.01e-3)
     assert added.high_unseen == pytest.approx(2.01e-3)
+
+
+def test_a_modulus_that_the_tests_contradict_holds_the_verdict(tmp_path: Path) -> None:
+    values = stats.weibull_min.ppf((np.arange(20) + 0.5) / 20.0, 6.0)
+    (tmp_path / "tests.csv").write_text("s\n" + "\n".join(map(str, values)), encoding="utf-8")
+    caveats = {}
+    file = 'file = "tests.csv", column = "s", fit = "weibull"'
+    for modulus in (6.5, 25.0):
+        text = f"""
+            inputs.load = 0.1
+            outputs.names = ["y", "z"]
+            limits.a = {{ quantity = "y", target = 0.01, strength = {{ {file}, modulus = {modulus} }} }}
+            """
+        study = load_study(tmp_path / "study.toml", text=text)
+        caveats[modulus] = [(code, path) for code, path, _ in study.caveats]
+    assert caveats == {6.5: [], 25.0: [("plausibility", "limits.a.strength.modulus")]}
+
+
+def test_dependences_are_judged_together() -> None:
+    """The first two of them alone hold together only with the third."""
+    ties = (("a", "b", 0.9), ("a", "c", 0.9), ("b", "c", 0.85))
+    study = Study(
+        inputs={key: {"dist": "normal", "mean": 1.0, "sd": 0.1} for key in "abc"},
+        outputs="y",
+        dependence=[{"of": [one, other], "spearman": rank} for one, other, rank in ties],
+    )
+    correlation = study.inputs().correlation
+    assert np.linalg.eigvalsh(correlation).min() > 0.0
+
+
+def test_a_free_strength_has_the_unit_of_its_demand() -> None:
+    margins = 'margins={solve="limits.crushing.strength", between=["1 GPa","8 GPa"]}'
+    study = load_study(shipped_studies()["limestone_drop_weight"], [margins])
+    results = uqsphere.run(study).results
+    assert results.study.free is not None
+    assert results.study.free.unit == "GPa"
+    rows = [row for row in results.answers if row.answer == "margin"]
+    assert {row.unit for row in rows} == {"Pa"}

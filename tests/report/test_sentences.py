@@ -178,7 +178,7 @@ def test_a_number_to_use_without_a_unit_says_what_it_is_of(granite: Results) -> 
     assert granite.study.free is not None
     texts = []
     for path, meaning in (("pulse.gain", "gain"), ("sphere.nu", "Poisson ratio")):
-        free = {"path": path, "meaning": meaning, "unit": ""}
+        free = {"path": path, "quantity": path, "meaning": meaning, "unit": ""}
         free = granite.study.free.model_copy(update=free)
         study = granite.study.model_copy(update={"free": free})
         results = granite.model_copy(update={"study": study})

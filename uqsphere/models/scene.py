@@ -225,6 +225,12 @@ def fractures_of(
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
     paths = [path_of(name, study.demands) for name in quantities]
+    fidelity = "full"
+    if study.model.fidelity == "massless":
+        fidelity = "massless"
     return first_fractures(
-        scene_at(study, names, rows), shares, [path for path in paths if path is not None]
+        scene_at(study, names, rows),
+        shares,
+        [path for path in paths if path is not None],
+        fidelity=fidelity,
     )

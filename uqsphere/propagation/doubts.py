@@ -212,12 +212,12 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
 class Others:
     """The failure modes beside a limit, at each row.
 
-    hold : probability (R, N) that none of them is exceeded
+    none : probability (R, N) that none of them is exceeded
     shift, scale : what the normal score of the limit's exceedance is less, and divided by, where
         they hold: of a strength that depends on theirs
     """
 
-    hold: Array
+    none: Array
     shift: Array | float = 0.0
     scale: float = 1.0
 
@@ -225,7 +225,7 @@ class Others:
         """Probability (R, N) that any failure mode is exceeded, from that of the limit."""
         if self.scale < 1.0:
             rows = special.ndtr((score(rows) - self.shift) / self.scale)
-        return 1.0 - self.hold + rows * self.hold
+        return 1.0 - self.none + rows * self.none
 
 
 @frozen(eq=False)
@@ -251,21 +251,21 @@ class Curves:
             beside = [limit for limit, _ in groups if limit is not first]
             if beside:
                 hold = np.prod([holds[limit.name] for limit in beside], axis=0)
-                others |= {limit.name: self._beside(limit, beside, hold) for limit in group}
+                others |= {limit.name: self._others_of(limit, beside, hold) for limit in group}
         return others
 
-    def _beside(self, limit: Limit, beside: Sequence[Limit], hold: Array) -> Others:
+    def _others_of(self, limit: Limit, beside: Sequence[Limit], hold: Array) -> Others:
         """What limits beside another one add, that hold with a probability (R, N) each by itself:
         strengths that depend on each other are drawn one after the other.
         """
         design = self.line.design
         factor = common_factor(design, [*beside, limit])
         if (factor == np.eye(len(factor))).all():
-            return Others(hold=hold)
+            return Others(none=hold)
         states = [self.line.state(other) for other in beside]
         union = make_union(states, factor[:-1, :-1], design.generator("tied strengths"))
         return Others(
-            hold=np.where(hold > 0.0, union.none, hold),  # rows without an answer stay as they are
+            none=np.where(hold > 0.0, union.none, hold),  # rows without an answer stay as they are
             shift=np.einsum("l,lrn->rn", factor[-1, :-1], union.holding),
             scale=float(factor[-1, -1]),
         )
@@ -336,7 +336,7 @@ class Curves:
             state = replace(state, tie=FREE)
         others = self.others.get(limit.name)
         if others is not None and not tied:
-            others = Others(hold=others.hold)
+            others = Others(none=others.none)
         means = []
         for strength in laws or [state.strength]:
             rows = exceedance(replace(state, strength=strength), self.aim.word)

@@ -149,7 +149,9 @@ def _value(
             f"{fewest:.0f} samples at a value are too few to show it", METHOD, evaluations
         )
     there = special.ndtr(PchipInterpolator(places, _scores(probabilities, least))(centre))
-    error = spread(there) or spread(there, 2.0 * float(least.max()) * replicates)
+    error = spread(there)
+    if counted and error == 0.0:
+        error = spread(there, replicates / fewest)
     low, high, _ = probability_ends(target, 1.0 - target, error, replicates, math.inf)
     sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
     # towards a value at which too few samples show it the curve is not known
