@@ -635,7 +635,9 @@ def test_a_modulus_that_the_tests_contradict_holds_the_verdict(tmp_path: Path) -
         text = f"""
             inputs.load = 0.1
             outputs.names = ["y", "z"]
-            limits.a = {{ quantity = "y", target = 0.01, strength = {{ {file}, modulus = {modulus} }} }}
+            limits.a.quantity = "y"
+            limits.a.target = 0.01
+            limits.a.strength = {{ {file}, modulus = {modulus} }}
             """
         study = load_study(tmp_path / "study.toml", text=text)
         caveats[modulus] = [(code, path) for code, path, _ in study.caveats]
