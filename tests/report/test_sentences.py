@@ -89,13 +89,13 @@ def test_the_probability_by_what_governs_comes_first(granite: Results) -> None:
     )
     text = DecisionText(granite, decision(doubts=[doubt], all_modes=Range(value=0.002)))
     assert text.broken == (
-        "Fracture probability at the planned value: 2.4 % by what governs; as computed, 0.2 %, by "
-        "your own limits and with all failure modes. Target: at most 1 %."
+        "Fracture probability at the planned value: 2.4 % with what its 20 tests leave open; as "
+        "computed, 0.2 %, by your own limits and with all failure modes. Target: at most 1 %."
     )
     assert doubt_text(doubt).endswith("; with the other modes")
     for change in ({"code": "computation"}, {"at_plan": Range(value=0.001)}):
         milder = DecisionText(granite, decision(doubts=[doubt.model_copy(update=change)]))
-        assert "by what governs" not in milder.broken
+        assert "leave open" not in milder.broken
 
 
 def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Results) -> None:

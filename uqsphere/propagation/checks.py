@@ -70,12 +70,15 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
     if slow is not None:
         failed = slow.dropped or failed
     if failed > 0.0:
+        effect = {"drop": "left out", "bound": "intervals widened"}[design.on_failure]
+        if slow is not None and slow.dropped and slow.predicted is not None:
+            effect = "in their place stand predictions from the runs that did not"
         yield Check(
             name="failed_rows",
             share=failed,
             grade="warning",
             text=f"{format_probability(failed)} of the model runs failed",
-            effect={"drop": "left out", "bound": "intervals widened"}[design.on_failure],
+            effect=effect,
         )
     if slow is not None:
         n = tables.runs

@@ -121,7 +121,7 @@ class DecisionText:
 
     @property
     def broken(self) -> str:
-        """The probability at the plan: by what governs where that is worse, by all modes and by
+        """The probability at the plan: with what governs where that is worse, by all modes and by
         the study's limits; and the target.
         """
         decision = self.decision
@@ -138,7 +138,7 @@ class DecisionText:
             worse = (doubt.at_plan.value or 0.0) > computed
             open_ends = doubt.code not in ("computation", "assumed strength")
             if open_ends and worse and governing != together:
-                text += f"{governing} by what governs; as computed, "
+                text += f"{governing} {_words(doubt)[0]}; as computed, "
         if decision.all_modes is None:
             text += probability(by_study)
         elif together == alone:
@@ -149,6 +149,9 @@ class DecisionText:
             governs = [(doubt.subject, doubt.code) for doubt in self._governing]
             if own is not None and (own.subject, own.code) not in governs:
                 at_plan = plain_probability(as_event(decision.aim, own.at_plan))
+                missed = own.at_plan.value or 0.0
+                if missed > own.target and at_plan == format_probability(own.target):
+                    at_plan = f"above {at_plan}"
                 if own.code != "computation" and at_plan != alone:
                     text += f" as computed ({at_plan}: {_words(own)[1]})"
         if decision.target is None:
