@@ -219,7 +219,7 @@ def integrals(fit: Chaos) -> Integrals:
     plain = fit.plain_form
     parts = plain.parts
     varying = plain.coefficients * parts[1].any(axis=1)
-    unit = np.abs(varying).max()  # squares of large ones stay finite
+    unit = float(np.abs(varying).max())  # squares of large ones stay finite
     squares = (varying / unit) ** 2
     mean = float(plain.coefficients[0])
     whole = float(squares.sum())
