@@ -22,6 +22,7 @@ from .estimate import (
     SHARE,
     Estimate,
     absent,
+    carriers,
     from_replicates,
     quantile,
     sample_reader,
@@ -164,8 +165,11 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         deviation = math.sqrt(squares.sum() / total)
         parts = squares / (deviation * deviation or 1.0)
         two, three = ((parts**k).sum() / total for k in (2, 3))
-    mean = from_replicates(means, method, evaluations, centre)
-    sd = from_replicates(deviations, method, evaluations, deviation)
+    # what a point moves the mean by, and the variance, both squared
+    influences = parts, (parts - 1.0) ** 2
+    of_mean, of_variance = (carriers(weights[kept]) or math.inf for weights in influences)
+    mean = from_replicates(means, method, evaluations, centre, carrying=of_mean)
+    sd = from_replicates(deviations, method, evaluations, deviation, carrying=of_variance)
     if sd.low is not None and sd.high is not None and sd.std_error and two > 1.0 + 1e-12:
         # A sample that lacks the rare large values has too small a deviation and too narrow an
         # interval at once.  The upper end is moved up by the term of the third moment in Johnson's
@@ -264,14 +268,24 @@ def describe_controlled(
         )
         return exact - other + more
 
-    mean = from_replicates(controlled(np.asarray), method, total)
+    def carrying(function: Callable[[Array], Array]) -> float:
+        """The points that carry what the cheap model is off by."""
+        off = function(expensive) - function(cheap)
+        return carriers((off - off.mean()) ** 2) or math.inf
+
+    mean = from_replicates(controlled(np.asarray), method, total, carrying=carrying(np.asarray))
     # about one centre for all replicates, so that their means are not taken for scatter of the
     # quantity
     centre = mean.value or 0.0
-    variances = controlled(lambda rows: (rows - centre) ** 2)
+
+    def squares(rows: Array) -> Array:
+        return (rows - centre) ** 2
+
+    variances = controlled(squares)
     scale = math.sqrt(max(variances.mean(), 0.0)) or expensive.std()
     # the standard deviation moves by half of what the variance does, over itself
-    sd = from_replicates(0.5 * variances / (scale or 1.0), method, total, scale)
+    halves = 0.5 * variances / (scale or 1.0)
+    sd = from_replicates(halves, method, total, scale, carrying=carrying(squares))
     read = _corrected_reader(expensive, cheap, cheap_many)
     answers = {}
     for p in quantiles:

@@ -195,12 +195,18 @@ def mean_and_sd(values: Array) -> tuple[float, float]:
 
 
 def from_replicates(
-    values: Array, method: str, evaluations: int, pooled: float | None = None
+    values: Array,
+    method: str,
+    evaluations: int,
+    pooled: float | None = None,
+    *,
+    carrying: float = math.inf,
 ) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
     The value is `pooled` if given (the answer of all samples together), else the mean of the
-    replicates; the interval is Student's with R - 1 degrees of freedom.
+    replicates; the interval is Student's with the degrees of freedom that replicates and so many
+    `carrying` points allow (`freedom`).
 
     >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
     >>> estimate.value, round(estimate.std_error, 12)
@@ -214,7 +220,7 @@ def from_replicates(
     if pooled is not None:
         value = pooled
     error = deviation / math.sqrt(values.size - 1)
-    half = student(values.size) * error
+    half = student(1.0 + freedom(values.size, carrying)) * error
     return bounded(value, value - half, value + half, error, method, evaluations)
 
 
