@@ -90,17 +90,17 @@ class Settled(Curves):
     def setting(self) -> Doubt:
         """The first doubt whose margin is the number, or as good as that."""
 
-        def sets(doubt: Doubt) -> bool:
-            if (
-                doubt.margin is None
-                or self.number is None
-                or math.inf in (doubt.margin, self.number)
-            ):
-                return doubt.margin == self.number
-            apart = abs(self.line.place_of(doubt.margin) - self.line.place_of(self.number))
-            return bool(apart <= _CLOSE * (self.line.places[-1] - self.line.places[0]))
+        def apart(doubt: Doubt) -> float:
+            if doubt.margin == self.number:
+                return 0.0
+            if doubt.margin is None or self.number is None:
+                return math.inf
+            return abs(float(self.line.place_of(doubt.margin) - self.line.place_of(self.number)))
 
-        return next(filter(sets, self.doubts))
+        room = 0.0
+        if len(self.line.values) > 1:
+            room = _CLOSE * np.ptp(self.line.places)
+        return next(doubt for doubt in self.doubts if apart(doubt) <= room)
 
     @cached_property
     def governing(self) -> Doubt:
