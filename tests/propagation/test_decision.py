@@ -492,7 +492,7 @@ def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
     missed = Estimate(value=0.5, low=0.4, high=0.6, method="", evaluations=1)
     judged: Any = SimpleNamespace(
         aim=SimpleNamespace(limits=[limit]),
-        plan=SimpleNamespace(doubts=["tests"]),
+        plan=SimpleNamespace(doubts=[SimpleNamespace(limit=limit)]),
         all_modes={"whole": missed},
     )
     caveats = [Caveat(code=code, subject="limits.whole.strength") for code in codes]
@@ -504,6 +504,7 @@ def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
     judged: Any = SimpleNamespace(
         settled=SimpleNamespace(governing=SimpleNamespace(code="tests", limit=None)),
         line=None,
+        contradicted=False,
         aim=SimpleNamespace(design=SimpleNamespace(subject=lambda limit: "limits.whole")),
     )
     caveats = [Caveat(code="rate", subject="limits.whole.strength")]
@@ -664,3 +665,38 @@ def test_a_free_strength_has_the_unit_of_its_demand() -> None:
     assert results.study.free.unit == "GPa"
     rows = [row for row in results.answers if row.answer == "margin"]
     assert {row.unit for row in rows} == {"Pa"}
+
+
+def test_a_number_that_too_few_rows_show_is_not_given() -> None:
+    narrow = {"dist": "lognormal", "log_mean": 0.0, "log_sd": 0.02}
+    (decision,) = decided({"a": limit("survive", 1e-5, narrow)})
+    assert decision.use is None
+    assert decision.blocked_by == "limits.a"
+
+
+def test_yielding_contacts_move_no_force_far_out_in_a_tail() -> None:
+    """Few rows and all of them differ by twelve standard deviations there."""
+    text = """
+        seed = 2
+        sphere = { material = "granite", E = "52 GPa", nu = 0.25, radius = "10 mm" }
+        rig.kind = "platens"
+        contact.law = "hertz"
+        analysis = { quantities = ["P_max"], failure_modes = "given" }
+        [platens]
+        material = "steel"
+        force = { dist = "lognormal", mean = "5 kN", cov = "30 %" }
+        [limits.force]
+        quantity = "P_max"
+        target = 1e-3
+        strength = { dist = "lognormal", mean = "20 kN", cov = "5 %" }
+        [margins]
+        solve = "platens.force"
+        between = ["0.5 kN", "40 kN"]
+        """
+    (decision,) = uqsphere.run(load_study(Path("study.toml"), text=text)).results.decisions
+    logs = [math.sqrt(math.log1p(cov**2)) for cov in (0.3, 0.05)]
+    z = float(stats.norm.isf(1e-3))
+    true = 20e3 * math.exp(0.5 * (logs[0] ** 2 - logs[1] ** 2) - z * math.hypot(*logs))
+    assert decision.use is None or 0.8 * true < decision.use.value < true
+    yielding = [row.margin for row in decision.doubts if row.code == "contact law"]
+    assert all(margin is None or margin > 0.8 * true for margin in yielding)

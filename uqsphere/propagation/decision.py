@@ -125,7 +125,7 @@ class Settled(Curves):
         """The number once a doubt is gone: the failure mode, or a limit that leaves no number, left
         out; else by the other doubts, but for contacts that yield with the same strengths.
         """
-        alone = self.aim.limits == (doubt.limit,)
+        alone = len(self.aim.limits) == 1
         if doubt.code == "assumed strength" or (self.number is None and not alone):
             return Settled(aim=self.aim.without(doubt.limit.name), line=self.line).number
         rest = []

@@ -21,7 +21,7 @@ from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, probability_ends, spread, spreads
+from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
 from uqsphere.uq.fitting import (
     STRENGTHS,
     count_tests,
@@ -41,6 +41,8 @@ from .line import Line, YieldingRows, exceedance, score
 
 #: strengths that tests allow
 LAWS = 400
+#: rows that carry a probability, below which their count bounds it, and at least at a number
+FEW, FEWEST = 20.0, 5.0
 
 
 @frozen(eq=False)
@@ -347,23 +349,41 @@ class Curves:
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
     def computed(self, limit: Limit) -> Doubt:
-        """The limit as the study has it, at the unsafe end of the numerical interval."""
+        """The limit as the study has it, at the unsafe end of the numerical interval; without a
+        margin where too few rows carry the failures beside it.
+        """
         base = self.base(limit)
         as_it_is = Alternative(code="computation", limit=limit)
-        return self._doubt(as_it_is, [self._ends(limit, means) for means in base], base[1])
+        carried_by = self._carrying(limit)
+        curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
+        doubt = self._doubt(as_it_is, curves, base[1])
+        if doubt.margin is not None and math.isfinite(doubt.margin):
+            above = int(np.searchsorted(self.line.values, doubt.margin))
+            if max(carried_by[1][max(above - 1, 0) : above + 1]) < FEWEST:
+                return replace(doubt, margin=None)
+        return doubt
 
-    def _ends(self, limit: Limit, means: Array) -> Array:
-        """The unsafe ends (K,) of the numerical intervals of probabilities (K, R) of a limit.
+    def _ends(self, limit: Limit, means: Array, carried_by: Sequence[float]) -> Array:
+        """The unsafe ends (K,) of the numerical intervals of probabilities (K, R) of a limit that
+        so many rows carry.
 
         Where its rows are counted, and none fails, failures are as probable as a count of none
-        allows.
+        allows; where few rows carry them, as these few leave possible.
         """
         counted = self._counted(limit)
         ends = []
-        for row, sample in zip(means, self.line.samples.values(), strict=True):
+        for row, sample, carrying in zip(
+            means, self.line.samples.values(), carried_by, strict=True
+        ):
+            p = row.mean()
+            q = (1.0 - row).mean()
             total = sample.size if counted else math.inf
-            both = probability_ends(row.mean(), (1.0 - row).mean(), spread(row), row.size, total)
-            ends.append(both[int(self.aim.survive)])
+            low, high, _ = probability_ends(p, q, spread(row), row.size, total)
+            if carrying < FEW:
+                most = float(special.gammaincinv(carrying + 1.0, ENDS[1])) / carrying
+                low = min(low, 1.0 - min(q * most, 1.0))
+                high = max(high, min(p * most, 1.0))
+            ends.append(high if self.aim.survive else low)
         return self._without_turns(np.array(ends), means.mean(axis=1))
 
     def _without_turns(self, ends: Array, means: Array) -> Array:
@@ -377,6 +397,20 @@ class Curves:
         if (means[-1] >= means[0]) == survive:
             from_unsafe = slice(None, None, -1)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
+
+    def _carrying(self, limit: Limit) -> list[list[float]]:
+        """The rows of each value that carry the failures of a limit, alone and with the other
+        failure modes; infinite where none does.
+        """
+        alone = joint = exceedance(self.line.state(limit), self.aim.word)
+        if limit.name in self.others:
+            joint = self.others[limit.name].or_any(alone)
+        carried_by = []
+        for exceeded in (alone, joint):
+            failing = np.nan_to_num(exceeded if self.aim.survive else 1.0 - exceeded)
+            parts = self.line.by_value(failing)
+            carried_by.append([carriers(part) or math.inf for part in parts])
+        return carried_by
 
     def _counted(self, limit: Limit) -> bool:
         """Whether rows of a limit are counted: its strength takes few values, or ends where demands
@@ -462,6 +496,12 @@ class Curves:
         change = scores(self.line, every) - scores(self.few.line, few)
         ends = scores(self.few.line, np.quantile(means, end, axis=1))
         moved = special.ndtr(ends + change)
+        # far out a difference of scores is no small one: the difference of the probabilities counts
+        # where it moves less
+        quantiles = np.quantile(means, end, axis=1)
+        added = np.clip(quantiles + every - few, 0.0, 1.0)
+        milder = np.abs(added - quantiles) < np.abs(moved - quantiles)
+        moved = np.where(milder, added, moved)
         curves = moved[:, :, 0]
         if counted:
             curves = np.array([*map(self._without_turns, curves, every[:, :, 0])])

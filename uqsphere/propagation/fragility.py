@@ -19,7 +19,7 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample, tails
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-from uqsphere.uq.estimate import REPLICATES
+from uqsphere.uq.estimate import REPLICATES, carriers
 
 from .design import VALUES, Design
 from .free_number import demand_factor, grid
@@ -75,26 +75,34 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     if margins.limit is not None:
         line = dict.fromkeys(grid(margins), sample)
     elif tables.fold_line:
-        folds = _along(design, tables.fold_line, limit)
+        folds = _along(design, tables.fold_line, limit)[0]
     counts = [rows.count for rows in line.values()]
+    means, carrying = _along(design, line, limit)
     return fragility_of(
         np.array([*line]),
-        np.clip(_along(design, line, limit), 0.0, 1.0),
+        np.clip(means, 0.0, 1.0),
         targets or sorted({*margins.for_probability, limit.allowable}),
         samples=counts,
         evaluations=sample.replicates * sum(counts),
+        carrying=carrying,
         folds=folds,
     )
 
 
-def _along(design: Design, line: Mapping[float, Sample], limit: Limit) -> Array:
-    """Mean probabilities (K, R) of exceedance of a limit at each value of a line."""
+def _along(
+    design: Design, line: Mapping[float, Sample], limit: Limit
+) -> tuple[Array, Sequence[float]]:
+    """Mean probabilities (K, R) of exceedance of a limit at each value of a line, and how many rows
+    carry them, or their complement if fewer do (K,).
+    """
     means = []
+    carrying = []
     for value, sample in line.items():
         state = state_of(design, limit, sample)
-        exceeded, _ = tails(state, demand_factor(design.study.margins, limit, value))
+        exceeded, held = tails(state, demand_factor(design.study.margins, limit, value))
+        carrying.append(min(carriers(exceeded), carriers(held)))
         means.append(exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1))
-    return np.array(means)
+    return np.array(means), carrying
 
 
 def margin_and_scale(tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:

@@ -98,6 +98,10 @@ class Line:
         factors = [demand_factor(margins, limit, value) for value in self.values]
         return replace(state, demands=state.demands * np.repeat(factors, self._counts))
 
+    def by_value(self, rows: Array) -> list[Array]:
+        """Rows (R, N) apart, a part for each value."""
+        return np.split(rows, np.cumsum(self._counts)[:-1], axis=1)
+
     def means(self, rows: Array) -> Array:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
         starts = np.cumsum([0, *self._counts[:-1]])

@@ -89,11 +89,13 @@ class Judged:
         """Whether the plan misses a target by its whole interval though it lies on the safe side
         of the number: the curve along the free number is not known well enough.
         """
-        number = self.settled.use
+        number = self.settled.number
         planned = self.aim.design.planned
-        if number is None or planned is None:
+        if self.line is None or number is None or planned is None:
             return False
-        safe = planned >= number if self.settled.safe_above else planned <= number
+        safe = planned <= number
+        if self.settled.safe_above and number != math.inf:
+            safe = planned >= number
         lowest = [(self.all_modes[limit.name].low or 0.0, limit) for limit in self.aim.limits]
         return safe and any(low > limit.target for low, limit in lowest)
 
@@ -237,7 +239,8 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     target = all_modes = own = None
     curve = []
     if judged.line is not None:
-        own = _own(judged)
+        if not judged.contradicted:
+            own = _own(judged)
         points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
@@ -414,9 +417,12 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
     if all(kept):
         # an effect on the unsafe side that nobody put a number on holds only what is met
         return "not established" if caveats else "met"
-    met = [target_met(judged.all_modes[limit.name], limit.target) for limit in limits]
-    if False in met and not any(kept):
-        return "not met"
+    for limit in limits:
+        doubts = zip(judged.plan.doubts, kept, strict=True)
+        its_own = [keeps for doubt, keeps in doubts if doubt.limit.name == limit.name]
+        met = target_met(judged.all_modes[limit.name], limit.target)
+        if met is False and not any(its_own):
+            return "not met"
     return "undecided"
 
 
@@ -475,6 +481,8 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
             if caveat.code == code:
                 return Remedy(code=cure, subject=caveat.subject)
     at_best = None
+    if judged.contradicted:
+        return Remedy(code="change the plan", subject=subject)
     if line is not None and governing.code != "assumed strength" and line.use is None:
         if line.number is None and len(judged.aim.limits) > 1:
             at_best = line.once_gone(governing)

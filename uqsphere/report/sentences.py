@@ -216,7 +216,8 @@ class DecisionText:
     def _kept_everywhere(self) -> bool:
         """Whether every doubt keeps its target in the whole range."""
         margins = [doubt for doubt in self.decision.doubts if doubt.code != "assumed strength"]
-        return bool(margins) and all(doubt.margin_note == "everywhere" for doubt in margins)
+        kept = bool(margins) and all(doubt.margin_note == "everywhere" for doubt in margins)
+        return kept and not self.decision.blocked_by
 
     @property
     def _ends(self) -> str:
@@ -238,13 +239,15 @@ class DecisionText:
                 use.value, free.quantity, safe_above=self._safe_above, planned=planned
             )
             factor = used / planned
+            beyond = planned > use.value
             if self._safe_above:
                 factor = 1.0 / factor
+                beyond = planned < use.value
             unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
-            if factor < 1.0:
+            if beyond:
                 text += ", no margin"
             elif not unsafe:
-                text += f", safety factor {factor:.3g}"
+                text += f", safety factor {max(factor, 1.0):.3g}"
         return f"{text}."
 
     @property

@@ -8,7 +8,16 @@ import numpy as np
 from uqsphere.arrays import Array, frozen, special
 
 from .describe import rising
-from .estimate import SURE, Estimate, absent, between, fold_spread, probability_ends, spread
+from .estimate import (
+    SURE,
+    Estimate,
+    absent,
+    between,
+    fold_spread,
+    freedom,
+    probability_ends,
+    spread,
+)
 
 METHOD = "common random numbers, monotone interpolation"
 #: samples of a value in which a probability is expected to show at least, where they are counted
@@ -32,6 +41,7 @@ def fragility(
     *,
     samples: int | Sequence[int],
     evaluations: int,
+    carrying: Sequence[float] = (),
     folds: Array | None = None,
 ) -> Fragility:
     """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
@@ -42,7 +52,8 @@ def fragility(
     or fall with the value.  A value is absent where the probability does not pass through it
     between the ends of the grid, and where the curve turns back by more than its noise and may pass
     through it more than once.  `folds` (K, F) are probabilities of expansions at the same points:
-    what their values differ by is the error of one expansion more.
+    what their values differ by is the error of one expansion more.  `carrying` (K,): how many
+    samples carry a probability, or its complement if fewer do; all where it is not given.
     """
     replicates = probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
@@ -71,7 +82,9 @@ def fragility(
                 evaluations,
             )
         else:
-            values[target] = _value(grid, probabilities, target, least, folds, evaluations)
+            values[target] = _value(
+                grid, probabilities, target, least, carrying, folds, evaluations
+            )
     return Fragility(curve=curve, values=values)
 
 
@@ -118,6 +131,7 @@ def _value(
     probabilities: Array,
     target: float,
     least: Array,
+    carrying: Sequence[float],
     folds: Array | None,
     evaluations: int,
 ) -> Estimate:
@@ -152,7 +166,9 @@ def _value(
     error = spread(there)
     if counted and error == 0.0:
         error = spread(there, replicates / fewest)
-    low, high, _ = probability_ends(target, 1.0 - target, error, replicates, math.inf)
+    carriers_there = max(carrying[k - 1 : k + 1], default=math.inf)
+    worth = 1.0 + freedom(replicates, carriers_there or math.inf)
+    low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
     sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * samples

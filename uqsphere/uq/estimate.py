@@ -277,7 +277,7 @@ def count_bound(total: float) -> float:
 
 
 def probability_ends(
-    p: float, q: float, error: float, replicates: int, total: float
+    p: float, q: float, error: float, replicates: float, total: float
 ) -> tuple[float, float, float]:
     """Ends and standard error of a probability p with its complement q, in logits, which stay
     inside 0 and 1.
