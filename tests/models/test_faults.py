@@ -392,7 +392,7 @@ def test_a_dask_cluster_answers(place: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
         ) as cluster,
         distributed.Client(cluster) as client,
         Model(study(), box(place), executor=client) as model,
@@ -405,7 +405,7 @@ def test_a_model_that_ends_its_process_leaves_the_workers_of_dask(place: Path) -
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0"
         ) as cluster,
         distributed.Client(cluster) as client,
         Model(study(), box(place, "os._exit(3)"), executor=client) as model,
@@ -422,7 +422,7 @@ def test_a_dask_cluster_that_goes_away_is_told(place: Path) -> None:
     reference = box(place, "time.sleep(0.05)", where="True")
     for end in ("client", "cluster"):
         cluster = distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
         )
         client = distributed.Client(cluster)
         went = {"client": client.close, "cluster": cluster.close}[end]

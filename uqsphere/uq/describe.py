@@ -269,8 +269,11 @@ def describe_controlled(
         return exact - other + more
 
     def carrying(function: Callable[[Array], Array]) -> float:
-        """The points that carry what the cheap model is off by."""
-        off = function(expensive) - function(cheap)
+        """The points that carry what the cheap model is off by; infinite for a rounding."""
+        exact = function(expensive)
+        off = exact - function(cheap)
+        if off.std() <= 1e-12 * exact.std():
+            return math.inf
         return carriers((off - off.mean()) ** 2) or math.inf
 
     mean = from_replicates(controlled(np.asarray), method, total, carrying=carrying(np.asarray))
