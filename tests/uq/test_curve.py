@@ -141,3 +141,12 @@ def test_margins_of_counts_hold_in_most_tries() -> None:
         assert margin.high is not None
         held.append(margin.low <= true <= margin.high)
     assert np.mean(held) > 0.9
+
+
+def test_an_end_that_the_curve_does_not_reach_leaves_no_interval() -> None:
+    """A curve that stays below 0.6: the upper end of 0.59 is nowhere on it."""
+    grid = np.linspace(1.0, 2.0, 11)
+    curve = 0.6 * ndtr((grid - 1.4) / 0.12)
+    noise = np.linspace(0.8, 1.2, 16)
+    found = fragility(grid, curve[:, None] * noise, (0.59,), samples=4096, evaluations=1)
+    assert found.values[0.59].value is None

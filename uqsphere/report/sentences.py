@@ -149,8 +149,8 @@ class DecisionText:
             governs = [(doubt.subject, doubt.code) for doubt in self._governing]
             if own is not None and (own.subject, own.code) not in governs:
                 at_plan = plain_probability(as_event(decision.aim, own.at_plan))
-                missed = own.at_plan.value or 0.0
-                if missed > own.target and at_plan == format_probability(own.target):
+                over = (own.at_plan.value or 0.0) > own.target
+                if over and decision.aim == "survive" and self._target.endswith(f" {at_plan}"):
                     at_plan = f"above {at_plan}"
                 if own.code != "computation" and at_plan != alone:
                     text += f" as computed ({at_plan}: {_words(own)[1]})"

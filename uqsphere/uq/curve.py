@@ -183,7 +183,7 @@ def _value(
     between_points = 0.0 if math.isnan(other) else abs(other - centre) / 4.0
     below, above = (
         math.hypot(distance, further) + between_points
-        for distance in (centre - min(sides), max(sides) - centre)
+        for distance in (centre - np.min(sides), np.max(sides) - centre)  # nan where one is
     )
     if not math.isfinite(below + above):
         return absent(
