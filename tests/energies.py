@@ -114,7 +114,7 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, .
         return gap, radius, none, np.asarray(contact.contact_energy(pressed, beta)), none
     law, largest = partner.face.at(motion.row), np.maximum.accumulate(force)
     peak = law.pressed(law.depth_at(largest))
-    back = np.where(peak.depth > 1.0, peak.approach - peak.dent, peak.approach)
+    back = peak.approach - peak.dent
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.cbrt(np.square(np.where(largest > 0.0, force / largest, 0.0)))
         # a² = r_p (alpha - alpha_r) on the spring, (C9)

@@ -47,7 +47,7 @@ def value_at(
             effective_radius=radius,
         )
         state = face.pressed(face.depth_at(force))
-        press = pressures_of(state, modulus, radius, own["takes"])
+        press = pressures_of(state, own["takes"])
         stored = 2.0 * state.stored
         lost = 2.0 * own["takes"] * state.plastic
     else:

@@ -247,9 +247,7 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
             pressed = {"P_max": value}
             if face is not None:
                 state = face.pressed(face.depth_at(value))
-                pressed |= pressures_of(
-                    state, face.modulus, face.effective_radius, struck.takes[rows]
-                )
+                pressed |= pressures_of(state, struck.takes[rows])
         return demand(criterion, Columns({**columns, **pressed}), path.parameters)
 
     wanted = share * demand_at(top)

@@ -137,21 +137,21 @@ def wishes(quantities: Collection[str] | None, demands: Demands) -> int:
 # --- contacts that differ, or yield ---------------------------------------------------------------
 
 
-def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -> dict[str, Array]:
+def pressures_of(press: Press, takes: Values) -> dict[str, Array]:
     """Approach, pressures and contact radius of a contact that yields.
 
     `p_field` is the Hertz pressure of the same force on the same circle, from which the stress
     inside the sphere follows.  `p_rim` is the same, except where the sphere `takes` the plastic
     work: there the rim tension is at most Hertz's for the same force.
     """
-    hertz = contact.pressure_at_force(press.force, modulus, radius)
     field = 1.5 * press.mean
     return {
         "alpha_max": press.approach,
         "p_max": press.centre,
         "p_mean": press.mean,
+        "p_hertz": press.hertz,
         "p_field": field,
-        "p_rim": np.where(takes > 0.0, hertz, field),
+        "p_rim": np.where(takes > 0.0, press.hertz, field),
         "a_max": press.radius,
     }
 
@@ -159,28 +159,22 @@ def pressures_of(press: Press, modulus: Values, radius: Values, takes: Values) -
 def _side(scene: Scene, partner: Partner, x: Array) -> Columns:
     """Columns of one contact at its peak approach x alpha_c: force, pressures, radius, energy."""
     scales = scene.scales
-    modulus = partner.modulus
-    radius = partner.effective_radius
     beta = partner.hertz_constant
     approach = scales.approach * x
     if partner.face is not None:
         state = partner.face.pressed(approach / partner.face.onset_approach)
         return Columns(
-            **pressures_of(state, modulus, radius, partner.takes),
+            **pressures_of(state, partner.takes),
             P_max=state.force,
-            p_hertz=contact.pressure_at_force(state.force, modulus, radius),
             dent_left=state.dent,
             dissipated=state.plastic,
             stored=state.stored,
         )
-    force = scales.force * (x * np.sqrt(x))
-    if partner is not scene.struck:
-        force = force * (beta / scales.hertz_constant)
     return Columns(
-        modulus=modulus,
-        effective_radius=radius,
+        modulus=partner.modulus,
+        effective_radius=partner.effective_radius,
         hertz_constant=beta,
-        P_max=force,
+        P_max=scales.force * (x * np.sqrt(x)) * (beta / scales.hertz_constant),
         alpha_max=approach,
         **dict.fromkeys(("dent_left", "dissipated"), np.zeros(len(scene))),
         stored=lambda: contact.contact_energy(approach, beta),
@@ -204,7 +198,7 @@ def _of_faces(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
     sides = []
     for partner in scene.there:
         side = _side(scene, partner, tracked[f"x_{partner.pole}"])
-        side |= {"share": partner.share, "takes": partner.takes}
+        side["takes"] = partner.takes
         if not scene.by_wave:
             other = 0.0 if single else force * tracked[f"other_{partner.pole}"]
             side["balance"] = np.where(side["P_max"] > 0.0, other / side["P_max"], 0.0)
@@ -219,14 +213,11 @@ def _of_faces(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
 
     def energy_of_sphere() -> Values:
         """chi of the energy in each contact, and plastic work where the sphere itself yields."""
-        unit = force * scene.scales.approach
-        if single or scene.by_wave:
-            energy = scene.struck.share * (unit * tracked["stored"])
-        elif "stored_sphere" in tracked:
-            energy = unit * tracked["stored_sphere"]
-        else:
-            energy = sum(side["share"] * side["stored"] for side in sides)
-        return energy + sum(side["takes"] * side["dissipated"] for side in sides)
+        stored = scene.struck.share * tracked["stored"]
+        if "stored_sphere" in tracked:
+            stored = tracked["stored_sphere"]
+        plastic = sum(side["takes"] * side["dissipated"] for side in sides)
+        return force * scene.scales.approach * stored + plastic
 
     columns: dict[str, Any] = {
         "sides": sides,

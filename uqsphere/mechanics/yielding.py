@@ -25,6 +25,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
 
+from . import contact
 from .roots import newton
 
 #: terms of the series of G and of its integrals below `_NEAR`, where the closed forms cancel; the
@@ -166,17 +167,17 @@ _FIRST_LOADING = first_loading(np.where)
 class Press(NamedTuple):
     """State of a contact at its largest approach, (n,) each in SI.
 
-    depth: z = alpha/alpha_y (below 1: elastic).  approach, force, radius: at the largest approach.
-    mean, centre: pressures there.  dent: residual indentation.  stored: elastic energy.  plastic:
-    plastic work.
+    approach, force, radius: at the largest approach.  mean, centre: pressures there.  hertz: peak
+    pressure of an elastic contact at the same force.  dent: residual indentation.  stored: elastic
+    energy.  plastic: plastic work.
     """
 
-    depth: Array
     approach: Array
     force: Array
     radius: Array
     mean: Array
     centre: Array
+    hertz: Array
     dent: Array
     stored: Array
     plastic: Array
@@ -280,23 +281,24 @@ class Face:
     @quiet
     def pressed(self, depth: Array) -> Press:
         """The state of the contact at the largest approach z alpha_y."""
-        force = self.force(depth)
+        ratio = self.force(depth)
         area = self.area(depth)
         recovered = self.recovery(depth)
         alpha_y = self.onset_approach
         force_y = self.onset_force
+        force = ratio * force_y
         p_y = self.onset
         hardness = self.hardness
-        mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * force / area, 0.0)
+        mean = np.where(depth > 0.0, (2.0 / 3.0) * p_y * ratio / area, 0.0)
         beyond = hardness - (hardness - mean) * (hardness - p_y) / (hardness - (2.0 / 3.0) * p_y)
-        stored = 0.4 * force * recovered
+        stored = 0.4 * ratio * recovered
         return Press(
-            depth=depth,
             approach=depth * alpha_y,
-            force=force * force_y,
+            force=force,
             radius=np.sqrt(area * self.effective_radius * alpha_y),
             mean=mean,
             centre=np.where(depth > 1.0, beyond, p_y * np.sqrt(np.maximum(depth, 0.0))),
+            hertz=contact.pressure_at_force(force, self.modulus, self.effective_radius),
             dent=np.where(depth > 1.0, (depth - recovered) * alpha_y, 0.0),
             stored=stored * force_y * alpha_y,
             plastic=np.where(depth > 1.0, (self.work(depth) - stored) * force_y * alpha_y, 0.0),

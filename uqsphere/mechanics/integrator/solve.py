@@ -143,20 +143,15 @@ class Motion:
         units = np.array([approach, approach, self.scales.speed])
         return np.asarray(self._at(self.states, times) * units)
 
-    def force_at(self, approach: Array) -> Array:
-        """Contact force [N] at an approach [m]: Hertz, or the secant stiffness beta sqrt(alpha_c)
-        of `linear`.
-        """
-        scales = self.scales
-        if self.fidelity == "linear":
-            return np.asarray(scales.force / scales.approach * np.maximum(approach, 0.0))
-        return np.asarray(contact.hertz_force(approach, scales.hertz_constant))
-
     def forces_at(self, times: Array) -> Array:
         """Contact forces at A and B [N] at `times` [s], (m, 2)."""
-        if self.forces is None:
-            return self.force_at(self.states_at(times)[:, :2])
-        return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * self.scales.force)
+        scales = self.scales
+        if self.forces is not None:
+            return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * scales.force)
+        approach = self.states_at(times)[:, :2]
+        if self.fidelity == "linear":  # the secant stiffness beta sqrt(alpha_c)
+            return np.asarray(scales.force / scales.approach * np.maximum(approach, 0.0))
+        return np.asarray(contact.hertz_force(approach, scales.hertz_constant))
 
     def pressure_at(self, force: Values, pole: int = 0) -> Values:
         """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the
