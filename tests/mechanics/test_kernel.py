@@ -349,8 +349,8 @@ def test_a_piece_of_a_pulse_as_short_as_a_rounding_is_over_at_once() -> None:
     arguments = dynamics.scaled_arguments(scene, np.array([0]))
     task = dynamics.task_of(scene, "full", 1e-8)
     peaks = []
-    for end in (arguments["breaks"][:, 1], np.nextafter(arguments["breaks"][:, 1], np.inf)):
-        arguments["breaks"][:, 2] = end
+    for end in (arguments.breaks[:, 1], np.nextafter(arguments.breaks[:, 1], np.inf)):
+        arguments.breaks[:, 2] = end
         answers, _ = dynamics.march_rows(arguments, task)
         peaks.append(answers["x"].max())
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-9)

@@ -40,7 +40,7 @@ def rig(mu: float = 1.0, speed: float = 0.0, A: Row | None = None, B: Row | None
     }
 
 
-def arguments(rows: list[Row]) -> dict[str, Any]:
+def arguments(rows: list[Row]) -> tracked.Rows:
     """What the kernel takes, of scaled rigs without incoming waves."""
     n = len(rows)
     trips, ends = np.full((n, 2), np.inf), np.zeros((n, 2))
@@ -56,19 +56,17 @@ def arguments(rows: list[Row]) -> dict[str, Any]:
             here["stiffness"], here["share"] = pole["kappa"], 0.5
             here["onset"], here["softening"], here["pile_up"] = pole["onset"], pole["b"], pole["C"]
             trips[i, k], ends[i, k] = pole["trip"], pole["end"]
-    return {
-        "mass": np.array([row["mu"] for row in rows]),
-        "ends": ends,
-        "round_trips": trips,
-        "breaks": np.zeros((n, 1)),
-        "coefficients": np.zeros((n, 0, 4)),
-        "frequencies": np.zeros(n),
-        "horizon": np.full(n, np.inf),
-        "pulse_end": np.full(n, np.inf),
-        "level": np.full(n, 0.1),
-        "poles": poles,
-        "speed": np.array([row["speed"] for row in rows]),
-    }
+    return tracked.Rows(
+        mass=np.array([row["mu"] for row in rows]),
+        ends=ends,
+        round_trips=trips,
+        breaks=np.zeros((n, 1)),
+        coefficients=np.zeros((n, 0, 4)),
+        frequencies=np.zeros(n),
+        horizon=np.full(n, np.inf),
+        poles=poles,
+        speed=np.array([row["speed"] for row in rows]),
+    )
 
 
 def kernel(rows: list[Row], tolerance: float = 1e-8) -> Any:
@@ -265,7 +263,7 @@ def test_the_bodies_never_close() -> None:
 
 def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
     given = arguments([rig(speed=1.0, B={})])
-    given["horizon"][:] = 1.0
+    given.horizon[:] = 1.0
     answers, _ = march_rows(given, Task(tolerance=1e-6))
     assert answers["status"][0] == tracked.STILL_PRESSED
 

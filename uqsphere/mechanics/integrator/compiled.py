@@ -14,7 +14,7 @@ import pickle
 import stat
 import sys
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
@@ -139,7 +139,7 @@ def compiled(
     the one function that calls it, which saves a compilation.
     """
     if function is None:
-        return lambda wrapped: compiled(wrapped, entry=entry, inline=inline)
+        return partial(compiled, entry=entry, inline=inline)
     import numba
 
     # nothing is allocated in compiled code, so that numba need not count the owners of arrays

@@ -201,34 +201,21 @@ def face_force(s, m, above):
 
 
 @compiled
-def _virgin(s, m, approach):
-    """Force of a face at its largest approach so far, and its derivative; elastic below the
-    onset.
-    """
-    onset = s.onset[m]
-    b = s.softening[m]
-    z = approach / onset
-    if z <= 1.0:
-        side = s.stiffness[m] * math.sqrt(approach)
-        return side * approach, 1.5 * side
-    return s.unit_force[m] * _virgin_force(z, b), s.unit_force[m] * _virgin_slope(z, b) / onset
-
-
-@compiled
 def approach_at(s, m, force):
     """Approach at which virgin loading reaches a force, by Newton's method from that of Hertz,
     which lies below.
 
     Hertz and what follows the onset are convex.
     """
-    found = (force / s.stiffness[m]) ** (2.0 / 3.0)
+    wanted = force / s.unit_force[m]
+    b = s.softening[m]
+    z = wanted ** (2.0 / 3.0)
     for _ in range(60):
-        reached, slope = _virgin(s, m, found)
-        following = found - (reached - force) / slope
-        if abs(following - found) <= 1e-15 * found:
+        change = (wanted - _virgin_force(z, b)) / _virgin_slope(z, b)
+        z += change
+        if abs(change) <= 1e-15 * z:
             break
-        found = following
-    return found
+    return z * s.onset[m]
 
 
 @compiled

@@ -32,9 +32,6 @@ units and who writes them.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
-
-from uqsphere.arrays import Array
 
 from . import events, incoming, lanes, records, tracked
 from .compiled import compiled
@@ -81,30 +78,6 @@ _APART, _APART_IN_RIGS = 3.0, 100.0
 FREE_STEPS = 1 << 10
 
 
-class Rows(NamedTuple):
-    """What is to be integrated, n rows in scaled variables.
-
-    mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
-    breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
-    inf for the rule of infinite bars, which needs pulse_end (n,).  level (n,): scale of x that is
-    expected at least.  poles (n, 2): tracked.POLE.  speed (n,): u at the start.  Whether faces are
-    alike and elastic, or stand on two bars, is in the state (`has_laws`, `rigged`).  The record of
-    other rigs than bars ends when the bodies part.
-    """
-
-    mass: Array
-    ends: Array
-    round_trips: Array
-    breaks: Array
-    coefficients: Array
-    frequencies: Array
-    horizon: Array
-    pulse_end: Array
-    level: Array
-    poles: Any
-    speed: Array
-
-
 @compiled(entry=True)
 def march(rows, order, state, made, kept, out):
     """Integrate rows `order` of a batch; what they come to goes to `out` (n,): tracked.ANSWER.
@@ -144,7 +117,6 @@ def march(rows, order, state, made, kept, out):
             live += lane.number >= 0
         if live == 0 and taken >= len(order):
             break
-    return taken
 
 
 @compiled(inline=True)
@@ -175,7 +147,10 @@ def _leave(s, j, made, out):
 def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
     lane = s.lane[j]
-    level = rows.level[r]
+    pulse_end = rows.breaks[r, -1]
+    level = 0.1  # scale of x that is expected at least
+    if not s.rigged:
+        level *= min(1.0, pulse_end)
     s.lane[j] = s.blank[0]
     lane.number = r
     s.error[j] = s.local
@@ -184,7 +159,7 @@ def _enter(s, j, r, rows):
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
     lane.end = rows.horizon[r]
-    lane.pulse_end = rows.pulse_end[r] * (1.0 - 1e-12)
+    lane.pulse_end = pulse_end * (1.0 - 1e-12)
     new_faces(s, j, rows.poles[r])
     lane.by_law = follows_law(s, j)
     quickest = max(1.0 / rows.mass[r], 1.0)
@@ -213,12 +188,12 @@ def _enter(s, j, r, rows):
         stiffest = max(stiffest, pole.stiffness)
     lane.quickest = quickest * stiffest
     lane.back = min(lane.trips[0], lane.trips[1])
-    if rows.breaks[r, -1] == math.inf and lane.back == math.inf:
+    if pulse_end == math.inf and lane.back == math.inf:
         lane.steady = 1.0
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
     lane.stop = incoming.next_break(s, j, rows)
-    if s.rigged and not events.next_touch(s, j) < math.inf and rows.breaks[r, -1] == 0.0:
+    if s.rigged and not events.next_touch(s, j) < math.inf:
         lane.fate = tracked.NEVER_CLOSES
 
 

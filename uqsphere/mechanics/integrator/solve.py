@@ -13,7 +13,7 @@ or yield have laws of their own (`uqsphere.mechanics.integrator.faces`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -30,6 +30,7 @@ from uqsphere.mechanics.scene import STATUS, Scales, Scene
 
 from . import tracked
 from .compiled import without_collection
+from .tracked import Rows
 
 Result = TypeVar("Result")
 
@@ -179,7 +180,7 @@ def thread_count(threads: int | None = None) -> int:
     return max(1, os.cpu_count() or 1)
 
 
-def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
+def scaled_arguments(scene: Scene, rows: Places) -> Rows:
     """What the kernel needs of `rows`, in scaled variables."""
     scales = scene.scales.at(rows)
     time = scales.time
@@ -187,10 +188,6 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
     echoing = scene.reflections[rows] != 0.0
     breaks = pulse.breaks[rows] / time[:, None]
     powers = time[:, None] ** np.arange(4)
-    if scene.by_wave:
-        duration = np.where(np.isfinite(breaks[:, -1]), breaks[:, -1], 1.0)
-    else:  # no wave comes in
-        duration = np.ones(len(rows))
     poles = np.zeros((len(rows), 2), tracked.POLE)
     poles["stiffness"] = 1.0
     poles["onset"] = np.inf
@@ -206,25 +203,20 @@ def scaled_arguments(scene: Scene, rows: Places) -> dict[str, Array]:
         pole["share"] = partner.share[rows]
         if partner.face is not None:
             face = partner.face.at(rows)
-            own = face.own
-            onset = face.onset_approach / scales.approach
-            softening = np.where(np.abs(face.softening) < 1e-12, 0.0, face.softening)
-            pole["onset"][own] = onset[own]
-            pole["softening"][own] = softening[own]
-            pole["pile_up"][own] = face.pile_up[own]
-    return {
-        "mass": scales.mass_number,
-        "ends": scene.reflections[rows],
-        "round_trips": np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
-        "breaks": breaks,
-        "coefficients": np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
-        "frequencies": pulse.frequency[rows] * time,
-        "horizon": scene.record_end[rows] / time,
-        "pulse_end": breaks[:, -1].copy(),
-        "level": 0.1 * np.minimum(1.0, duration),
-        "poles": poles,
-        "speed": scene.start[rows, 0] / scales.speed,
-    }
+            pole["onset"] = face.onset_approach / scales.approach
+            pole["softening"] = np.where(np.abs(face.softening) < 1e-12, 0.0, face.softening)
+            pole["pile_up"] = face.pile_up
+    return Rows(
+        mass=scales.mass_number,
+        ends=scene.reflections[rows],
+        round_trips=np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
+        breaks=breaks,
+        coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
+        frequencies=pulse.frequency[rows] * time,
+        horizon=scene.record_end[rows] / time,
+        poles=poles,
+        speed=scene.start[rows, 0] / scales.speed,
+    )
 
 
 @frozen
@@ -263,19 +255,19 @@ def task_of(
     )
 
 
-def march_rows(arguments: Mapping[str, Array], task: Task) -> tuple[Any, list[Any]]:
-    """Run the kernel on all rows of `arguments`, with more room for those that run out of it.
+def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
+    """Run the kernel on all of `rows`, with more room for those that run out of it.
 
     Returns the answers (n,), of the type `tracked.ANSWER`, and of a motion that is wanted the steps
     of every row, (m,) of the type `tracked.PATH`.
     """
-    from .kernel import Rows, march
+    from .kernel import march
 
     wanted = task.wanted
     share = yielded = _LOCAL
     if wanted & tracked.WANT_DIFFERENCE:
         share = _LOCAL_DIFFERENCE
-    finite = bool(np.isfinite(arguments["horizon"]).all())
+    finite = bool(np.isfinite(rows.horizon).all())
     if not task.rigged and wanted & tracked.TO_THE_END and not finite:
         share = min(share, _LOCAL_TAIL)
     if finite and not task.rigged:
@@ -288,8 +280,7 @@ def march_rows(arguments: Mapping[str, Array], task: Task) -> tuple[Any, list[An
         local *= 0.1
     if task.mode == tracked.LINEAR:
         power = 1.0
-    echoing = bool(np.isfinite(arguments["round_trips"]).any())
-    rows = Rows(**arguments)
+    echoing = bool(np.isfinite(rows.round_trips).any())
     answers = tracked.empty_answers(len(rows.mass))
     order = np.arange(len(answers))
     paths = [np.empty(0, tracked.PATH)] * len(answers)
@@ -330,8 +321,9 @@ def integrate(scene: Scene, task: Task, *, threads: int | None = None) -> Any:
     answers["status"] = scene.status
     rows = np.flatnonzero(scene.status == 0)
     if len(rows):
-        arguments = scaled_arguments(scene, rows)
-        looked = _by_blocks(partial(look_closer, task=task), arguments, _BLOCK, threads)
+        looked = _by_blocks(
+            partial(look_closer, task=task), scaled_arguments(scene, rows), _BLOCK, threads
+        )
         answers[rows] = np.concatenate(looked)
     return answers
 
@@ -391,17 +383,17 @@ def motions(
 
 
 def _by_blocks(
-    run: Callable[[dict[str, Array]], Result],
-    arguments: Mapping[str, Array],
+    run: Callable[[Rows], Result],
+    rows: Rows,
     size: int,
     threads: int | None,
 ) -> list[Result]:
-    """What a function makes of the kernel's arguments, in blocks of so many rows, by threads."""
+    """What a function makes of rows, in blocks of so many, by threads."""
 
     def made_of(block: slice) -> Result:
-        return run({name: column[block] for name, column in arguments.items()})
+        return run(rows.at(block))
 
-    blocks = [slice(begin, begin + size) for begin in range(0, len(arguments["mass"]), size)]
+    blocks = [slice(begin, begin + size) for begin in range(0, len(rows.mass), size)]
     workers = min(thread_count(threads), len(blocks))
     if workers <= 1:
         return list(map(made_of, blocks))
@@ -490,11 +482,11 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
-#: answers of long rows that are compared at two tolerances
+#: answers of long rows that are compared at two tolerances; not a number where not wanted
 _COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
 
 
-def look_closer(arguments: Mapping[str, Array], task: Task) -> Any:
+def look_closer(rows: Rows, task: Task) -> Any:
     """Answers of `march_rows`, and again at ever closer tolerances for the rows whose answers may
     be worse than that of the task.
 
@@ -507,7 +499,7 @@ def look_closer(arguments: Mapping[str, Array], task: Task) -> Any:
     wanted = task.wanted
     tolerance = task.tolerance
     task = replace(task, requested=tolerance)
-    answers, _ = march_rows(arguments, task)
+    answers, _ = march_rows(rows, task)
     ended = answers["status"] == tracked.OK
     closest = np.full(len(answers), tolerance)
     doubt = np.zeros(len(answers), dtype=bool)
@@ -516,15 +508,13 @@ def look_closer(arguments: Mapping[str, Array], task: Task) -> Any:
     if task.stop_at_loss and not task.rigged:
         timed = wanted & tracked.TO_THE_END
     strict = wanted & tracked.WANT_CONTACT != 0
-    echoing = np.isfinite(arguments["round_trips"]).any(axis=1)
+    echoing = np.isfinite(rows.round_trips).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
     many = ended & (answers["steps"] > _MANY_STEPS) & (echoing | summed)
     unsettled = many.copy()
     # rows whose duration counts contacts behind their first loss
     behind = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
     counted = ended & behind & (wanted & tracked.WANT_DURATION != 0 and not task.rigged)
-    free = _COMPARED - tracked.WISHES.keys()
-    columns = free | {name for name in _COMPARED - free if wanted & tracked.WISHES[name]}
     while True:
         if timed:
             lost = np.nan_to_num(answers["contact"])
@@ -537,8 +527,7 @@ def look_closer(arguments: Mapping[str, Array], task: Task) -> Any:
         for each in np.unique(closest[again]):
             picked = np.flatnonzero(again & (closest == each))
             closer = max(_CLOSER * each, _FINEST)
-            some = {name: column[picked] for name, column in arguments.items()}
-            look, _ = march_rows(some, replace(task, tolerance=closer))
+            look, _ = march_rows(rows.at(picked), replace(task, tolerance=closer))
             # one that has no room for so many steps keeps the answers that it has
             done = look["status"] == tracked.OK
             closest[picked] = np.where(done, closer, _FINEST)
@@ -549,7 +538,7 @@ def look_closer(arguments: Mapping[str, Array], task: Task) -> Any:
             }
             compared[picked] = True
             unsettled[picked] = many[picked] & (
-                ~done | np.any([differs[name] for name in columns], axis=0)
+                ~done | np.any([differs[name] for name in _COMPARED], axis=0)
             )
             counted[picked] &= ~done | differs["duration"]
             answers[picked[done]] = look[done]

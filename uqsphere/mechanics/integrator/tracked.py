@@ -19,11 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array
+from uqsphere.arrays import Array, Places
 
 #: highest power of a series; four square roots take the 16th root
 ORDER = 16
@@ -159,6 +159,33 @@ POLE = np.dtype(
         )
     ]
 )
+
+
+class Rows(NamedTuple):
+    """What is to be integrated, n rows in scaled variables.
+
+    mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
+    breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
+    inf for the rule of infinite bars.  poles (n, 2): `POLE`.  speed (n,): u at the start.
+    Whether faces are alike and elastic, or stand on two bars, is in the state (`has_laws`,
+    `rigged`).  The record of other rigs than bars ends when the bodies part; no pulse comes in.
+    """
+
+    mass: Array
+    ends: Array
+    round_trips: Array
+    breaks: Array
+    coefficients: Array
+    frequencies: Array
+    horizon: Array
+    poles: Any
+    speed: Array
+
+    def at(self, rows: Places | slice) -> Rows:
+        """Some of the rows."""
+        return Rows._make(column[rows] for column in self)
+
+
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
 
@@ -277,14 +304,13 @@ _AT_START = {
     "steady": -1.0,
     **dict.fromkeys(("lost", "ended", "parted", "duration", "grazed"), np.nan),
 }
-_LANE, _FACE, _SERIES = LANES, PAIR, (TERMS, PAIR)
 #: all lanes, and columns that go through vector instructions: (LANES,) of lanes; (PAIR,) of faces,
 #: the faces A of all lanes first
 STATE = np.dtype(
     [
         *_fields(
             "f8",
-            _LANE,
+            LANES,
             # the row
             "inverse_mu",  # 1/mu, 0 without mass; enter
             # the step
@@ -295,7 +321,7 @@ STATE = np.dtype(
         ),
         *_fields(
             "f8",
-            _FACE,
+            PAIR,
             # the step
             "h",  # t_c; length of the trial step; try_step, read_echo
             "theta",  # share of the trial step that is taken; reach, choose, keep_roots
@@ -344,7 +370,7 @@ STATE = np.dtype(
         ),
         *_fields(
             "f8",
-            _SERIES,
+            (TERMS, PAIR),
             # the series of the step, in powers of theta
             "x",  # approaches above the dents; turn, expand
             "u",  # speed of the sphere, in both columns; turn, expand
