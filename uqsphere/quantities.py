@@ -181,15 +181,16 @@ def format_probability(
     >>> format_probability(None)
     'not known'
     """
-    least = _percent(low or 0.0, -1)
-    most = _percent(1.0 if high is None else high, 1)
-    bounded_above = high is not None and high < 1.0
-    bounded_below = low is not None and low > 0.0
-    if value is None and bounded_above and bounded_below:
+    low = low or 0.0
+    if high is None:
+        high = 1.0
+    least = _percent(low, -1)
+    most = _percent(high, 1)
+    if value is None and low > 0.0 and high < 1.0:
         return f"{least} to {most}"
-    if value in (None, 1.0) and bounded_below and low != value:
+    if value in (None, 1.0) and 0.0 < low != value:
         return f"above {least.removeprefix('above ')}"
-    if value in (None, 0.0) and bounded_above and high != value:
+    if value in (None, 0.0) and 1.0 > high != value:
         return f"below {most}"
     if value is None:
         return "not known"

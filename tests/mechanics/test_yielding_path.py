@@ -213,12 +213,11 @@ def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
 
 
 @compiled(entry=True)
-def there_and_back(lanes, given, pressed, approach):
+def there_and_back(lanes, given, approach):
     """The approach at which virgin loading reaches the force that it has at an approach."""
     s = lanes[0]
     faces.new_faces(s, 0, given)
-    if pressed:
-        faces.press_on(s, 0)
+    faces.press_on(s, 0)
     return faces.approach_at(s, 0, faces.face_force(s, 0, approach)[0])
 
 
@@ -227,17 +226,14 @@ def there_and_back(lanes, given, pressed, approach):
     [
         ((0.3, 3.0, 2.0), (0.31, 0.5, 1.0, 30.0)),
         ((0.3, 0.0, 1.0), (0.31, 0.5, 1.0, 30.0)),
-        ((np.inf, 1.0, 1.0), (1e-6, 0.2, 1.0, 30.0)),
     ],
-    ids=["plastic", "Thornton", "elastic"],
+    ids=["plastic", "Thornton"],
 )
 def test_virgin_loading_reaches_a_force_where_it_is_said_to(law, approaches):
     given = np.ones(2, POLE)
     given["onset"][0], given["softening"][0], given["pile_up"][0] = law
     for approach in approaches:
-        assert there_and_back(empty_lanes(), given, law[0] < 1.0, approach) == pytest.approx(
-            approach, rel=1e-11
-        )
+        assert there_and_back(empty_lanes(), given, approach) == pytest.approx(approach, rel=1e-11)
 
 
 def test_one_force_alone_is_an_imbalance_of_one():

@@ -64,7 +64,7 @@ def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int
     strength = end**first
     while k == 0 or (abs(strength) > _FAINT and k * trip <= last):
         earlier = times - k * trip if k else times
-        part = motion.forces_at(earlier)[:, bar] / motion.impedance
+        part = motion.forces_at(earlier)[:, bar] / motion.scales.impedance
         if bar == 0:
             part = _pulse(motion, earlier + nudge) - part
         total += strength * part
@@ -251,7 +251,7 @@ def _search_times(motion: Motion, number: int) -> Array:
     trip = motion.round_trip(number)
     breaks = motion.scene.pulse.breaks[motion.row]
     kinks = breaks[np.isfinite(breaks)]
-    if motion.echoes(number):
+    if motion.reflection(number):
         kinks = np.concatenate([kinks, kinks + trip, [trip]])
     near = min(horizon, 4.0 * trip, 20.0 * motion.pulse_end)
     grids = [np.linspace(0.0, end, _SEARCH_POINTS) for end in (horizon, near)]
@@ -322,7 +322,7 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     # jumps and kinks at the contact: of the pulse and of its reflections
     jumps = motion.scene.pulse.breaks[motion.row]
     jumps = jumps[np.isfinite(jumps)] if number == 0 else np.zeros(0)
-    if motion.echoes(number):
+    if motion.reflection(number):
         trip = motion.round_trip(number)
         echoes = np.arange(1 + int(min(motion.horizon / trip, 16.0)))
         jumps = (jumps[:, None] + echoes * trip).ravel()
@@ -342,7 +342,7 @@ def last_time(motion: Motion, bar: str, position: float) -> float:
     """Last instant [s] at which the motion up to the horizon determines a position of a bar."""
     number = BARS.index(bar)
     delay = position / motion.wave_speed
-    if not motion.echoes(number):
+    if not motion.reflection(number):
         return motion.horizon + delay
     return motion.horizon + min(delay, motion.round_trip(number) - delay)
 
@@ -374,7 +374,7 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         # a step overlaps to the end of the computed time
         end = min(motion.pulse_end - delay, last_time(motion, bar, position))
         overlapping.append(Overlap("incident", "reflected", delay, end))
-    if not motion.echoes(number):
+    if not motion.reflection(number):
         return tuple(overlapping)
     # return of the wave that leaves the contact, in the time of the contact
     trip = motion.round_trip(number)

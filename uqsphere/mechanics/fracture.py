@@ -126,11 +126,7 @@ def first_fractures(
             tolerance=tolerance,
             quantities=(followed,),
         )
-        courses = {
-            motion.row: _course(motion)
-            for motion in moved
-            if isinstance(motion, Motion) and len(motion.start)
-        }
+        courses = {motion.row: _course(motion) for motion in moved if isinstance(motion, Motion)}
         for at, path in enumerate(paths):
             rows = np.array([row for row in courses if shares[row, at] < 1.0], dtype=int)
             if len(rows):

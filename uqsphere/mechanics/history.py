@@ -259,7 +259,7 @@ def _instants(course: Motion, points: int, events: Sequence[float]) -> tuple[Arr
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     breaks = scene.pulse.breaks[row] if scene.by_wave else np.zeros(0)
     # the first reflection of each bar; later ones are left to the grid
-    delays = np.array([0.0, *(course.round_trip(bar) for bar in (0, 1) if course.echoes(bar))])
+    delays = np.array([0.0, *(course.round_trip(bar) for bar in (0, 1) if course.reflection(bar))])
     jumps = np.unique(breaks[np.isfinite(breaks), None] + delays)
     jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
     return with_jumps(np.setdiff1d(smooth, jumps), jumps)
@@ -419,7 +419,7 @@ def view_field(history: History, *, places: int, times: int) -> FieldView:
     course = history.motion
     speed = course.wave_speed
     trips = [course.round_trip(bar) for bar in (0, 1)]
-    echo = max((trip for bar, trip in enumerate(trips) if course.echoes(bar)), default=0.0)
+    echo = max((trip for bar, trip in enumerate(trips) if course.reflection(bar)), default=0.0)
     last = min(max(1.15 * history.record_end, 1.1 * echo), history.horizon)
     last = min(last, 2.2 * echo if echo else 6.0 * course.pulse_end)
     left, right = (min(course.bar_length(bar), 1.2 * speed * last) for bar in (0, 1))

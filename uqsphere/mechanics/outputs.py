@@ -5,6 +5,7 @@ its `quantity` and that is not there, such as the core tension, is the demand of
 all of it is in ``criteria.toml``.
 """
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial, reduce
@@ -52,32 +53,24 @@ def _hertz_pressure(columns: ColumnMap, force: Values) -> Values:
 
 
 #: quantities as functions of columns: of the scene, its scale factors, the integrator, and other
-#: quantities
+#: quantities; any other one is the product of the columns that it needs
 FORMULAS = {
-    "p_max": lambda c: _hertz_pressure(c, c["P_max"]),
+    **dict.fromkeys(("p_max", "p_hertz"), lambda c: _hertz_pressure(c, c["P_max"])),
     "P_max": lambda c: c["force"] * c["x_max"] ** c["power"],
-    "p_hertz": lambda c: _hertz_pressure(c, c["P_max"]),
-    "alpha_max": lambda c: c["approach"] * c["x_max"],
     "a_max": lambda c: contact.contact_radius(
         contact.approach_at_force(c["P_max"], c["hertz_constant"]), c["effective_radius"]
     ),
     "p_mean": lambda c: c["P_max"] / (np.pi * np.square(c["a_max"])),
-    "mean_force_max": lambda c: c["force"] * c["mean_force"],
-    "contact_duration": lambda c: c["time"] * c["duration"],
-    "time_to_first_loss": lambda c: c["time"] * c["contact"],
-    "loaded_time": lambda c: c["time"] * c["parting"],
-    "rise_time": lambda c: c["time"] * c["rise"],
     "loading_rate": lambda c: 0.8 * c["P_max"] / c["rise_time"],
     "first_peak": lambda c: _hertz_pressure(c, c["force"] * c["x_first"] ** c["power"]),
     "force_imbalance": lambda c: c["difference"] / c["x_max"] ** c["power"],
-    "energy": lambda c: c["force"] * c["approach"] * c["stored"],
     "specific_energy": lambda c: c["energy"] / c["mass"],
     "energy_sphere": lambda c: (
         c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]
     ),
     "specific_energy_sphere": lambda c: c["energy_sphere"] / c["mass"],
     "specific_impact_energy": lambda c: c["impact_energy"] / c["mass"],
-    "rebound_speed": lambda c: c["speed"] * c["leaving"],
+    "transmitted_energy": lambda c: c["carried_off"],
 }
 
 
@@ -100,7 +93,7 @@ class Columns(dict[str, Any]):
             return FORMULAS[name](self)
         if name in _DEMAND_OF:
             return demand(_DEMAND_OF[name], self)
-        return self[OUTPUTS[name].needs[0]]
+        return math.prod(self[column] for column in OUTPUTS[name].needs)
 
 
 def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Any]:

@@ -25,8 +25,8 @@ class Pulse(NamedTuple):
 
     breaks (n, m + 1): start of each piece and the end of the last [s]; infinite for a step.
     coefficients (n, m, 4): cubics in the time since the start of the piece, ascending powers.
-    frequency (n,): angular frequency of a half sine [1/s], 0 for cubics.  valid (n,): whether the
-    parameters are valid for the shape.
+    frequency (n,): angular frequency of a half sine [1/s], in place of its cubic, or 0.  valid
+    (n,): whether the parameters are valid for the shape.
     """
 
     breaks: Array
@@ -129,9 +129,7 @@ def _ramp(duration: Array, numbers: ColumnMap) -> Pulse:
 
 
 def _half_sine(duration: Array, numbers: ColumnMap) -> Pulse:
-    flat = _line(duration, 0.0, 0.0)
-    pulse = _pieces([np.zeros_like(duration), duration], [flat], duration > 0.0)
-    return pulse._replace(frequency=np.pi / duration)
+    return _rectangular(duration, {})._replace(frequency=np.pi / duration)
 
 
 def _two_peak(duration: Array, numbers: ColumnMap) -> Pulse:

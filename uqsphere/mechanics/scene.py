@@ -243,15 +243,9 @@ class Scene:
 
     @cached_property
     def pulse(self) -> Pulse:
-        """The incident pulse of every row, times in seconds; zero in rigs without a wave."""
+        """The incident pulse of every row, times in seconds; of no length without a wave."""
         if not self.by_wave:
-            zeros = np.zeros(len(self))
-            return Pulse(
-                breaks=np.zeros((len(self), 2)),
-                coefficients=np.zeros((len(self), 1, 4)),
-                frequency=zeros,
-                valid=zeros == 0.0,
-            )
+            return build_pulse("rectangular", np.zeros(len(self)))
         if self.record is not None:
             return self.record.pulse(len(self))
         numbers = {

@@ -71,27 +71,28 @@ def _keep(folder: Path, function: Any) -> None:
     What is damaged or foreign is compiled anew; what cannot be written, by the next process.  The
     folder goes by the sources, so that no file is out of date.
     """
-    from numba.core.caching import IndexDataCacheFile
+    from numba.core.compiler import CompileResult
     from numba.core.serialize import dumps
 
-    class Kept(IndexDataCacheFile):
-        def place(self, key: object) -> Path:
-            return (
-                folder
-                / f"{function.__name__}-{sha256(repr((base, key)).encode()).hexdigest()[:16]}.nbc"
-            )
+    class Kept:
+        cache_path = str(folder)
 
-        def load(self, key: object) -> Any:
-            path = self.place(key)
+        def place(self, signature: object, codegen: Any) -> Path:
+            key = repr((function.__module__, signature, codegen.magic_tuple()))
+            return folder / f"{function.__name__}-{sha256(key.encode()).hexdigest()[:16]}.nbc"
+
+        def load_overload(self, signature: object, target: Any) -> Any:
+            target.refresh()
+            path = self.place(signature, target.codegen())
             with contextlib.suppress(Exception):  # what is not ours raises as it likes
                 content = path.read_bytes()
                 if sha256(path.name.encode() + content[32:]).digest() == content[:32]:
-                    return pickle.loads(content[32:])
+                    return CompileResult._rebuild(target, *pickle.loads(content[32:]))
             return None
 
-        def save(self, key: object, data: object) -> None:
-            path = self.place(key)
-            content = dumps(data)
+        def save_overload(self, signature: object, result: Any) -> None:
+            path = self.place(signature, result.codegen)
+            content = dumps(result._reduce())
             beside = path.with_suffix(f".{os.getpid()}")
             try:
                 beside.write_bytes(sha256(path.name.encode() + content).digest() + content)
@@ -100,8 +101,7 @@ def _keep(folder: Path, function: Any) -> None:
                 with contextlib.suppress(OSError):
                     beside.unlink()
 
-    base = function._cache._impl.filename_base
-    function._cache._cache_file = Kept(str(folder), base, None)
+    function._cache = Kept()
 
 
 @contextlib.contextmanager
@@ -114,19 +114,6 @@ def without_collection() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
-
-
-@contextlib.contextmanager
-def _cache_in(folder: Path) -> Iterator[None]:
-    """numba's own folder for compiled code, while one function is prepared for it."""
-    import numba
-
-    before = getattr(numba.config, "CACHE_DIR")  # noqa: B009
-    setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - made at run time
-    try:
-        yield
-    finally:
-        setattr(numba.config, "CACHE_DIR", before)  # noqa: B010
 
 
 def compiled(
@@ -152,12 +139,12 @@ def compiled(
     }
     if inline:
         options["inline"] = "always"
-    folder = cache_folder() if entry else None
-    if not entry:
+    folder = None
+    if entry:
+        folder = cache_folder()
+    else:
         options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    if folder is None:
-        return numba.njit(**options)(function)
-    with _cache_in(folder):
-        made: Any = numba.njit(**options | {"cache": True})(function)
-    _keep(folder, made)
+    made: Any = numba.njit(**options)(function)
+    if folder is not None:
+        _keep(folder, made)
     return made

@@ -101,11 +101,6 @@ class Motion:
         return float(bars.wave_speed(*self.material))
 
     @property
-    def impedance(self) -> float:
-        """Z of the bars [kg/s]."""
-        return float(self.scales.impedance)
-
-    @property
     def pulse_end(self) -> float:
         """Time at which the incident pulse is over at face A [s]; infinite for a step."""
         return float(self.scene.pulse.end[self.row])
@@ -119,12 +114,8 @@ class Motion:
         return 0.5 * self.wave_speed * self.round_trip(bar)
 
     def reflection(self, bar: int) -> float:
-        """Velocity reflection coefficient of a bar's far end."""
+        """Velocity reflection coefficient of a bar's far end; 0 if nothing comes back."""
         return float(self.scene.reflections[self.row, bar])
-
-    def echoes(self, bar: int) -> bool:
-        """Whether anything comes back from a bar's far end."""
-        return self.reflection(bar) != 0.0
 
     def _at(self, series: Array, times: Array) -> Array:
         """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first
@@ -290,8 +281,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
         "share": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
-        **dict.fromkeys(("size", "u_size", "free_size"), 1.0),
-        "wrong_allowed": 1.0,
+        **dict.fromkeys(("size", "u_size", "free_size", "wrong_allowed"), 1.0),
     }
     for capacity in _CAPACITIES:
         state = tracked.empty_lanes()
