@@ -242,7 +242,6 @@ def sobol_indices(x: Any, y: Any, inputs: Inputs, *, seed: int = 0) -> Answers:
     Comput. Phys. Commun. 183, 2012, 937; A. B. Owen, SIAM/ASA J. Uncertain. Quantif. 2, 2014, 245.
     """
     expansion = chaos(x, y, inputs, seed=seed)
-    assert expansion.response is not None
     if expansion.joint.dependent and not expansion.response.usable:
         raise UsageError(
             f"no indices from these rows: {expansion.response.reason}; give more rows, or call the "
@@ -517,7 +516,7 @@ def fragility(
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
         d = len(laws.names)
         points = [
-            sobol_points(dimension=d, count=count, seed=seed, task="fragility", replicate=r)
+            sobol_points(d, count, seed=seed, task="fragility", replicate=r)
             for r in range(REPLICATES)
         ]
         x = laws.physical(special.ndtri(np.concatenate(points)))
@@ -533,9 +532,7 @@ def fragility(
 
 
 def _fragility(grid: Array, shares: Array, samples: int, targets: Sequence[float]) -> Fragility:
-    fitted = curve.fragility(
-        grid, shares, targets, samples=samples, evaluations=shares.size * samples
-    )
+    fitted = curve.fragility(grid, shares, targets, samples=samples)
     return Fragility(
         curve=np.array(fitted.curve), values=fitted.values, shares=shares, samples=samples
     )

@@ -49,7 +49,7 @@ def sample(study: Study, count: int) -> "DataFrame":
     One column for each number [SI], (count, d); the same for the same seed of the study.
     """
     laws = study.inputs()
-    rng = random_generator(seed=study.seed, task="study sample")
+    rng = random_generator(study.seed, "study sample")
     return _table(laws, rng.standard_normal((count, len(laws.names))))
 
 
@@ -67,7 +67,7 @@ def design(study: Study, count: int) -> "DataFrame":
     outputs, are for `analyse`.
     """
     laws = _inputs(study)
-    points = sobol_points(dimension=len(laws.names), count=count, seed=study.seed, task="slow")
+    points = sobol_points(len(laws.names), count, seed=study.seed, task="slow")
     return _table(laws, special.ndtri(points))
 
 

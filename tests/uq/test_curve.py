@@ -23,7 +23,7 @@ def lognormal(value: np.ndarray | float) -> np.ndarray:
 
 def test_values_of_a_known_curve() -> None:
     exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
-    found = fragility(GRID, exact, TARGETS, samples=1000, evaluations=1)
+    found = fragility(GRID, exact, TARGETS, samples=1000)
     for target, estimate in found.values.items():
         assert estimate.value == pytest.approx(MEDIAN * math.exp(SCATTER * ndtri(target)), rel=1e-9)
     assert [row[0] for row in found.curve] == GRID.tolist()
@@ -41,7 +41,7 @@ def test_the_error_of_expansions_at_the_same_points_is_that_of_one_more() -> Non
     moved[:, 3] = lognormal(GRID * 1.1)
     widths = []
     for folds in (None, same, moved):
-        found = fragility(GRID, exact, (0.5,), samples=1000, evaluations=1, folds=folds)
+        found = fragility(GRID, exact, (0.5,), samples=1000, folds=folds)
         widths.append(found.values[0.5].half_width)
     assert widths[1] == pytest.approx(widths[0], abs=1e-12)
     # the standard deviation of the eight is ln(1.1)/sqrt(8)
@@ -51,7 +51,7 @@ def test_the_error_of_expansions_at_the_same_points_is_that_of_one_more() -> Non
 
 def test_falling_curves_answer_the_same_questions() -> None:
     exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
-    found = fragility(GRID, 1.0 - exact, TARGETS, samples=1000, evaluations=1)
+    found = fragility(GRID, 1.0 - exact, TARGETS, samples=1000)
     for target, estimate in found.values.items():
         assert estimate.value == pytest.approx(
             MEDIAN * math.exp(SCATTER * ndtri(1.0 - target)), rel=1e-6
@@ -61,7 +61,7 @@ def test_falling_curves_answer_the_same_questions() -> None:
 def test_no_root_between_the_bounds_is_said() -> None:
     part = np.geomspace(0.9, 1.5, 7)
     exact = np.repeat(lognormal(part)[:, None], 4, axis=1)
-    found = fragility(part, exact, (0.01, 0.5, 0.99), samples=1000, evaluations=1)
+    found = fragility(part, exact, (0.01, 0.5, 0.99), samples=1000)
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=1e-6)
     for target in (0.01, 0.99):
         assert "no value between 0.9 and 1.5" in found.values[target].reason
@@ -69,18 +69,18 @@ def test_no_root_between_the_bounds_is_said() -> None:
 
 def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
     hump = np.repeat((0.9 * np.exp(-(np.log(GRID / 1.2) ** 2) / 0.1))[:, None], 4, axis=1)
-    found = fragility(GRID, hump, (0.5,), samples=1000, evaluations=1)
+    found = fragility(GRID, hump, (0.5,), samples=1000)
     assert "not monotone" in found.values[0.5].reason
     # a curve that dips where it is low still says once and for all where it passes through a half
     dip = np.repeat(
         (lognormal(GRID) + 0.05 * np.exp(-(np.log(GRID / GRID[1]) ** 2) / 0.01))[:, None], 4, axis=1
     )
-    found = fragility(GRID, np.clip(dip, 0.0, 1.0), (0.03, 0.5), samples=1000, evaluations=1)
+    found = fragility(GRID, np.clip(dip, 0.0, 1.0), (0.03, 0.5), samples=1000)
     assert "not monotone" in found.values[0.03].reason
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=1e-3)
     noise = 0.004 * np.random.default_rng(1).standard_normal((GRID.size, 8))
     noisy = np.clip(lognormal(GRID)[:, None] + noise, 0.0, 1.0)
-    found = fragility(GRID, noisy, (0.5,), samples=1000, evaluations=1)
+    found = fragility(GRID, noisy, (0.5,), samples=1000)
     assert found.values[0.5].value == pytest.approx(MEDIAN, rel=0.02)
     # what the noise is smoothed to knows no direction: read from the other end it is the same
     grid = np.geomspace(0.5, 2.0, 21)
@@ -88,7 +88,7 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
         (21, 4)
     )
     both = ((grid, noisy), (1.0 / grid[::-1], noisy[::-1]))
-    found = [fragility(g, p.clip(0.01, 0.99), (0.5,), samples=1000, evaluations=1) for g, p in both]
+    found = [fragility(g, p.clip(0.01, 0.99), (0.5,), samples=1000) for g, p in both]
     ways = [one.values[0.5].value for one in found]
     assert ways[0] * ways[1] == pytest.approx(1.0, rel=1e-9)
 
@@ -96,7 +96,7 @@ def test_curves_that_turn_back_are_refused_and_noise_is_not() -> None:
 def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
     grid = np.linspace(-3.0, 3.0, 13)
     exact = np.repeat(np.asarray(ndtr(grid))[:, None], 3, axis=1)
-    found = fragility(grid, exact, (0.1, 0.5), samples=1000, evaluations=1)
+    found = fragility(grid, exact, (0.1, 0.5), samples=1000)
     assert found.values[0.1].value == pytest.approx(ndtri(0.1), abs=1e-9)
     assert found.values[0.5].value == pytest.approx(0.0, abs=1e-9)
     # noise is smoothed alike from both sides
@@ -104,23 +104,21 @@ def test_a_scalar_that_crosses_zero_is_taken_as_it_is() -> None:
     noisy = np.clip(
         ndtr(grid)[:, None] + 0.05 * np.random.default_rng(1).standard_normal((121, 8)), 0.0, 1.0
     )
-    one, other = (
-        fragility(grid, p, (0.5,), samples=1000, evaluations=1) for p in (noisy, 1.0 - noisy[::-1])
-    )
+    one, other = (fragility(grid, p, (0.5,), samples=1000) for p in (noisy, 1.0 - noisy[::-1]))
     assert other.values[0.5].value == pytest.approx(-one.values[0.5].value, abs=1e-6)
 
 
 @pytest.mark.parametrize("grid", [[1.0, 1.0], [1.0]])
 def test_a_grid_that_does_not_increase_is_refused(grid: list[float]) -> None:
     with pytest.raises(ValueError, match="two increasing values"):
-        fragility(np.array(grid), np.zeros((len(grid), 3)), (0.5,), samples=10, evaluations=1)
+        fragility(np.array(grid), np.zeros((len(grid), 3)), (0.5,), samples=10)
 
 
 def test_counts_that_cannot_show_a_probability_give_no_value() -> None:
     """Sixteen replicates of sixteen samples: five would have to show it."""
     uniforms = np.random.default_rng(4).random((16, 16))
     counted = np.array([(uniforms < p).mean(axis=1) for p in lognormal(GRID)])
-    found = fragility(GRID, counted, (0.01, 0.1), samples=16, evaluations=1)
+    found = fragility(GRID, counted, (0.01, 0.1), samples=16)
     assert found.values[0.01].value is None
     assert found.values[0.01].reason == "256 samples at a value are too few to show it"
     at_tenth = found.values[0.1]
@@ -135,7 +133,7 @@ def test_margins_of_counts_hold_in_most_tries() -> None:
     for seed in range(60):
         uniforms = np.random.default_rng(seed).random((16, 64))
         counted = np.array([(uniforms < p).mean(axis=1) for p in lognormal(GRID)])
-        margin = fragility(GRID, counted, (0.02,), samples=64, evaluations=1).values[0.02]
+        margin = fragility(GRID, counted, (0.02,), samples=64).values[0.02]
         true = MEDIAN * math.exp(SCATTER * ndtri(0.02))
         assert margin.low is not None
         assert margin.high is not None
@@ -148,5 +146,5 @@ def test_an_end_that_the_curve_does_not_reach_leaves_no_interval() -> None:
     grid = np.linspace(1.0, 2.0, 11)
     curve = 0.6 * ndtr((grid - 1.4) / 0.12)
     noise = np.linspace(0.8, 1.2, 16)
-    found = fragility(grid, curve[:, None] * noise, (0.59,), samples=4096, evaluations=1)
+    found = fragility(grid, curve[:, None] * noise, (0.59,), samples=4096)
     assert found.values[0.59].value is None

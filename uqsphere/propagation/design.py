@@ -169,7 +169,7 @@ class Design:
 
     def generator(self, task: str) -> np.random.Generator:
         """Random numbers of a task, by the seed of the study."""
-        return random_generator(seed=self.study.seed, task=task)
+        return random_generator(self.study.seed, task)
 
     def subject(self, limit: Limit) -> str:
         """The name of a limit in the table of answers."""

@@ -68,22 +68,19 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     """
     design = tables.design
     margins = design.study.margins
-    sample = tables.sample
     assert margins is not None
     folds = None
     line = tables.line
     if margins.limit is not None:
-        line = dict.fromkeys(grid(margins), sample)
+        line = dict.fromkeys(grid(margins), tables.sample)
     elif tables.fold_line:
         folds = _along(design, tables.fold_line, limit)[0]
-    counts = [rows.count for rows in line.values()]
     means, carrying = _along(design, line, limit)
     return fragility_of(
         np.array([*line]),
         np.clip(means, 0.0, 1.0),
         targets or sorted({*margins.for_probability, limit.allowable}),
-        samples=counts,
-        evaluations=sample.replicates * sum(counts),
+        samples=[rows.count for rows in line.values()],
         carrying=carrying,
         folds=folds,
     )

@@ -195,7 +195,7 @@ def _problem(
         answers,
         len(design.drawn.names),
         integrated=isinstance(strength, Law),
-        limit=None if whole else of_outputs,
+        limit=np.asarray if whole else of_outputs,
         budget=budget,
         seed=design.study.seed,
     )

@@ -75,7 +75,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
 def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow") -> Array:
     """Independent normals (count, D), and `extra` uniforms behind them."""
     size = len(design.drawn.names)
-    points = sobol_points(dimension=size + extra, count=count, seed=design.study.seed, task=task)
+    points = sobol_points(size + extra, count, seed=design.study.seed, task=task)
     return np.concatenate([special.ndtri(points[:, :size]), points[:, size:]], axis=1)
 
 

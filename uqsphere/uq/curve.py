@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, Places, frozen, special
 
 from .describe import rising
 from .estimate import (
@@ -17,6 +17,7 @@ from .estimate import (
     freedom,
     probability_ends,
     spread,
+    spreads,
 )
 
 METHOD = "common random numbers, monotone interpolation"
@@ -40,7 +41,6 @@ def fragility(
     targets: Sequence[float],
     *,
     samples: int | Sequence[int],
-    evaluations: int,
     carrying: Sequence[float] = (),
     folds: Array | None = None,
 ) -> Fragility:
@@ -63,7 +63,7 @@ def fragility(
     values = dict[float, Estimate]()
     for level, row, count in zip(grid.tolist(), probabilities, counts, strict=True):
         p = float(row.mean())
-        q = float((1.0 - row).mean())
+        q = (1.0 - row).mean()
         # counts that agree in all replicates are still known to one sample only
         error = spread(row) or spread(row, 1.0 / count)
         low, high, _ = probability_ends(p, q, error, replicates, count * replicates)
@@ -72,27 +72,24 @@ def fragility(
     signs = _sure_signs(np.diff(probabilities, axis=0))
     sure = np.flatnonzero(signs)
     turns = grid[sure[signs[sure] != signs[sure[:1]]]]
-    least = 0.5 / (replicates * counts[:, None])
+    behind = replicates * counts
     for target in targets:
         sides = _sure_signs(probabilities - target)
         if turns.size and np.count_nonzero(np.diff(sides[sides != 0.0])) != 1:
             values[target] = absent(
                 f"the probability is not monotone: it turns back near {turns[0]:.4g}",
                 METHOD,
-                evaluations,
+                int(behind.sum()),
             )
         else:
-            values[target] = _value(
-                grid, probabilities, target, least, carrying, folds, evaluations
-            )
+            values[target] = _value(grid, probabilities, target, behind, carrying, folds)
     return Fragility(curve=curve, values=values)
 
 
 def _sure_signs(values: Array) -> Array:
     """Signs (K,) of the means of values (K, R); 0 within four standard errors of 0."""
     mean = values.mean(axis=1)
-    error = values.std(axis=1, ddof=1) / math.sqrt(values.shape[1])
-    return np.where(np.abs(mean) > SURE * error + 1e-9, np.sign(mean), 0.0)
+    return np.where(np.abs(mean) > SURE * spreads(values.T) + 1e-9, np.sign(mean), 0.0)
 
 
 def _scores(probabilities: Array, least: Array) -> Array:
@@ -130,10 +127,9 @@ def _value(
     grid: Array,
     probabilities: Array,
     target: float,
-    least: Array,
+    behind: Places,
     carrying: Sequence[float],
     folds: Array | None,
-    evaluations: int,
 ) -> Estimate:
     """Value at the target: the ends are where the curve takes those of the probability there, which
     has the spread of the replicates (Woodruff 1952), with the spread of folds and the error of
@@ -145,6 +141,10 @@ def _value(
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
     places = forward(grid)
     replicates = probabilities.shape[1]
+    evaluations = int(behind.sum())
+    samples = behind[:, None]
+    # what lies below half a sample is not told from zero
+    least = 0.5 / samples
     pooled = probabilities.mean(axis=1)[:, None]
     centre = _crossings(places, pooled, target, least)[0]
     if math.isnan(centre):
@@ -154,10 +154,9 @@ def _value(
             METHOD,
             evaluations,
         )
-    k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
-    samples = 0.5 / least
+    k = np.clip(np.searchsorted(places, centre), 1, grid.size - 1)
     counted = np.abs(pooled * samples - np.round(pooled * samples)).max() < 1e-6
-    fewest = float(samples[k - 1 : k + 1].min())
+    fewest = behind[k - 1 : k + 1].min()
     if counted and fewest * min(target, 1.0 - target) < FEWEST:
         return absent(
             f"{fewest:.0f} samples at a value are too few to show it", METHOD, evaluations
@@ -167,7 +166,7 @@ def _value(
     if counted and error == 0.0:
         error = spread(there, replicates / fewest)
     carriers_there = max(carrying[k - 1 : k + 1], default=math.inf)
-    worth = 1.0 + freedom(replicates, carriers_there or math.inf)
+    worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
     sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
     # towards a value at which too few samples show it the curve is not known
@@ -175,12 +174,12 @@ def _value(
     sides += [places[n] for n in (k - 1, k) if counted and shown[n, 0] < FEWEST]
     further = 0.0
     if folds is not None:
-        further = float(fold_spread(_crossings(places, folds, target, least)))
+        further = fold_spread(_crossings(places, folds, target, least))
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     every = np.unique([*range(0, grid.size, 2), grid.size - 1])
     other = _crossings(places[every], pooled[every], target, least[every])[0]
-    between_points = 0.0 if math.isnan(other) else abs(other - centre) / 4.0
+    between_points = np.nan_to_num(abs(other - centre)) / 4.0
     below, above = (
         math.hypot(distance, further) + between_points
         for distance in (centre - np.min(sides), np.max(sides) - centre)  # nan where one is
@@ -192,7 +191,5 @@ def _value(
             METHOD,
             evaluations,
         )
-    value, first, last = (
-        float(backward(place)) for place in (centre, centre - below, centre + above)
-    )
+    value, first, last = map(backward, (centre, centre - below, centre + above))
     return between(value, first, last, replicates, METHOD, evaluations)

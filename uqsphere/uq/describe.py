@@ -165,11 +165,11 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
         deviation = math.sqrt(squares.sum() / total)
         parts = squares / (deviation * deviation or 1.0)
         two, three = ((parts**k).sum() / total for k in (2, 3))
-    # what a point moves the mean by, and the variance, both squared
-    influences = parts, (parts - 1.0) ** 2
-    of_mean, of_variance = (carriers(weights[kept]) or math.inf for weights in influences)
-    mean = from_replicates(means, method, evaluations, centre, carrying=of_mean)
-    sd = from_replicates(deviations, method, evaluations, deviation, carrying=of_variance)
+    # by what a point moves the mean, and the variance, both squared
+    points = carriers(parts[kept])
+    mean = from_replicates(means, method, evaluations, centre, carrying=points)
+    points = carriers((parts[kept] - 1.0) ** 2)
+    sd = from_replicates(deviations, method, evaluations, deviation, carrying=points)
     if sd.low is not None and sd.high is not None and sd.std_error and two > 1.0 + 1e-12:
         # A sample that lacks the rare large values has too small a deviation and too narrow an
         # interval at once.  The upper end is moved up by the term of the third moment in Johnson's
@@ -274,7 +274,7 @@ def describe_controlled(
         off = exact - function(cheap)
         if off.std() <= 1e-12 * exact.std():
             return math.inf
-        return carriers((off - off.mean()) ** 2) or math.inf
+        return carriers((off - off.mean()) ** 2)
 
     mean = from_replicates(controlled(np.asarray), method, total, carrying=carrying(np.asarray))
     # about one centre for all replicates, so that their means are not taken for scatter of the

@@ -147,12 +147,12 @@ def freedom(replicates: int, carriers: float) -> float:
 
     Those of the replicates, R - 1, and half the number of the carriers, as resistances in parallel,
     at least one: where few points carry what an answer is off by, the few that were met speak for
-    those that were not.
+    those that were not.  Without any carrier there is nothing that few could miss.
 
     >>> [round(freedom(16, carriers), 1) for carriers in (math.inf, 30.0, 1.0)]
     [15.0, 7.5, 1.0]
     """
-    return max(1.0 / (1.0 / (replicates - 1) + 2.0 / carriers), 1.0)
+    return max(1.0 / (1.0 / (replicates - 1) + 2.0 / (carriers or math.inf)), 1.0)
 
 
 def carriers(weights: Array) -> float:

@@ -198,10 +198,12 @@ def incomplete(name: str, end: float, log_density: Function, *shapes: float) -> 
 
 
 def gamma(k: float) -> Form:
-    def log_density(y: Array) -> Array:
-        return special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k)
-
-    return incomplete("gammainc", math.inf, log_density, k)
+    return incomplete(
+        "gammainc",
+        math.inf,
+        lambda y: special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k),
+        k,
+    )
 
 
 def beta(a: float, b: float) -> Form:
@@ -363,9 +365,7 @@ def bandwidth(data: Array) -> float:
 Part = tuple[Form, Function]
 
 
-def _mean_of(
-    count: int, parts: list[Part], nodes: Callable[[], Array], moments: tuple[float, float] | None
-) -> Form:
+def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array]) -> Form:
     """The form of a mean of `count` laws: of few values by the laws themselves, of more by cubics
     over the nodes.
     """
@@ -405,7 +405,6 @@ def _mean_of(
         tails=tails,
         quantile=lambda p, q: inside(cubics()[1], GAUSS.quantile(p, q)),
         pdf=pdf,
-        moments=moments,
     )
 
 
@@ -421,8 +420,8 @@ def _kernels(data: Array, width: float) -> Form:
         ]
         return np.concatenate(pieces)
 
-    moments = float(data.mean()), math.hypot(data.std(), width)
-    return _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes, moments)
+    form = _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes)
+    return replace(form, moments=(float(data.mean()), math.hypot(data.std(), width)))
 
 
 def drawn(law: "Law") -> Form:
@@ -457,5 +456,4 @@ def drawn(law: "Law") -> Form:
         len(rows),
         [(GAUSS, logarithm), (hazard, lambda y: (np.exp(y) - least) / scale)],
         nodes,
-        None,
     )

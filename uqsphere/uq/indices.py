@@ -12,7 +12,6 @@ freedom are those of the replicates and of the points that carry the answer
 (`uqsphere.uq.estimate.freedom`).
 """
 
-import math
 from collections.abc import Callable
 from itertools import combinations
 
@@ -71,16 +70,14 @@ class Blocks:
 
 
 def base_points(
-    blocks: Blocks, *, count: int, seed: int, task: str, replicate: int, start: int = 0
+    blocks: Blocks, count: int, *, seed: int, task: str, replicate: int, start: int = 0
 ) -> tuple[Array, Array]:
     """Uniform halves A, B, (count, d) each, of one replicate; `start` continues the same design.
 
     They are the columns of one scrambled Sobol' sequence, so that both together are evenly spread.
     """
     d = blocks.inputs_count
-    points = sobol_points(
-        dimension=2 * d, count=count, start=start, seed=seed, task=task, replicate=replicate
-    )
+    points = sobol_points(2 * d, count, start=start, seed=seed, task=task, replicate=replicate)
     return points[:, :d], points[:, d:]
 
 
@@ -223,6 +220,6 @@ def _estimates(
         error = 0.0
         if index or deviations.any():
             error = max(spread(deviations), ROUNDING)
-        half = student(1.0 + freedom(len(off), carriers(weights) or math.inf)) * error
+        half = student(1.0 + freedom(len(off), carriers(weights))) * error
         estimates.append(bounded(index, index - half, index + half, error, method, evaluations))
     return estimates

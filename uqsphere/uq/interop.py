@@ -135,7 +135,7 @@ def to_salib(
     """
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
-    halves = base_points(blocks, count=count, seed=seed, task="sensitivity", replicate=0)
+    halves = base_points(blocks, count, seed=seed, task="sensitivity", replicate=0)
     rows = inputs.physical(special.ndtri(blocks.mix(*halves)))
     return SalibDesign(problem=problem, rows=rows.reshape(-1, blocks.inputs_count), second=second)
 
@@ -170,12 +170,12 @@ def salib_measures(
     covers (delta of an input that does nothing comes out at 0.065), and they have none.
     """
     shown = f"SALib {method}"
+    d = len(names)
     if not np.isfinite(outputs).all():
         # SALib answers zeros, without a word, where one output is not finite
         return [
             absent("outputs that are not finite: SALib would answer zeros", shown, outputs.size)
-        ] * len(names)
-    d = len(names)
+        ] * d
     if method == "morris":
         # in each step of a trajectory (d + 1, d) one input moves
         steps = np.diff(uniforms.reshape(-1, d + 1, d), axis=1)

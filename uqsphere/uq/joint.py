@@ -180,7 +180,7 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
     """
     from scipy.optimize import brentq
 
-    points = sobol_points(dimension=3, count=4096, seed=0, task="t copula")
+    points = sobol_points(3, 4096, seed=0, task="t copula")
     common, first, second = special.gammaincinv(0.5 * dof, points.T)
     factor = 1.0 / np.sqrt((1.0 + common / first) * (1.0 + common / second))
     # rho is 1 for r = 1, which the points should say too

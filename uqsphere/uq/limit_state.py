@@ -433,6 +433,6 @@ def weighted_quantile(
     Woodruff (1952).
     """
     replicates, m = values.shape
-    read = sample_reader(values, np.broadcast_to(weights[:, None], values.shape))
+    read = sample_reader(values, weights[:, None])
     error = spread(weights * ((values <= read(p)).mean(axis=1) - p), 1.0 / m)
     return quantile([read], p, error, replicates, method, evaluations)

@@ -39,13 +39,13 @@ def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(entropy=[seed, task_number], spawn_key=(replicate,))
 
 
-def random_generator(*, seed: int, task: str, replicate: int = 0) -> np.random.Generator:
+def random_generator(seed: int, task: str, replicate: int = 0) -> np.random.Generator:
     """Generator keyed by seed, task and replicate, for what needs plain random numbers."""
     return np.random.default_rng(_seed(seed, task, replicate))
 
 
 def sobol_points(
-    *, dimension: int, count: int, start: int = 0, seed: int, task: str, replicate: int = 0
+    dimension: int, count: int, *, start: int = 0, seed: int, task: str, replicate: int = 0
 ) -> Array:
     """Points of one randomised Sobol' sequence.
 
@@ -68,8 +68,8 @@ def sobol_points(
     ValueError
         For a negative size, or too many dimensions or points.
 
-    >>> first = sobol_points(dimension=2, count=8, seed=1, task="example", replicate=0)
-    >>> more = sobol_points(dimension=2, count=4, start=4, seed=1, task="example", replicate=0)
+    >>> first = sobol_points(2, 8, seed=1, task="example", replicate=0)
+    >>> more = sobol_points(2, 4, start=4, seed=1, task="example", replicate=0)
     >>> bool((first[4:] == more).all())
     True
     """
@@ -87,8 +87,7 @@ def sobol_points(
         if dimension >= 1000:
             # the scrambling matrices of 52-bit points would fill the memory
             bits = 30
-        rng = random_generator(seed=seed, task=task, replicate=replicate)
-        sequence = Sobol(dimension, bits=bits, rng=rng)
+        sequence = Sobol(dimension, bits=bits, rng=random_generator(seed, task, replicate))
         # SciPy warns of a first draw of other than a power of two
         corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
     else:

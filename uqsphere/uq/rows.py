@@ -100,11 +100,11 @@ def check_rows(x: Array, joint: Joint) -> None:
     """
     for k, (name, law) in enumerate(zip(joint.names, joint.laws, strict=True)):
         column = x[:, k]
-        beyond = np.flatnonzero(_beyond(column, law))
-        if beyond.size and not law.is_steps:
+        far = np.flatnonzero(beyond(column, law))
+        if far.size and not law.is_steps:
             raise UsageError(
-                f"column {name!r}: {column[beyond[0]]:g} cannot come from its distribution, "
-                f"{law!r}: {beyond.size} of {len(x)} rows lie beyond it{_cause(x, joint, k)}"
+                f"column {name!r}: {column[far[0]]:g} cannot come from its distribution, "
+                f"{law!r}: {far.size} of {len(x)} rows lie beyond it{_cause(x, joint, k)}"
             )
         if not _follows(column, law):
             raise UsageError(
@@ -129,7 +129,7 @@ def check_rows(x: Array, joint: Joint) -> None:
             )
 
 
-def _beyond(column: Array, law: Law) -> Flags:
+def beyond(column: Array, law: Law) -> Flags:
     """Which values cannot come from a distribution."""
     return np.minimum(*law.tails(column)) <= 0.0
 
@@ -140,7 +140,7 @@ def _follows(column: Array, law: Law) -> bool:
 
     if law.is_steps:
         return True
-    if _beyond(column, law).any():
+    if beyond(column, law).any():
         return False
     if len(column) < LEAST_ROWS or 2 * len(np.unique(column)) <= len(column):
         return True

@@ -42,7 +42,7 @@ def closed_effects(function: Function, joint: Joint) -> Callable[[tuple[int, ...
     varies, that a set of inputs owns: value and deviations of the replicates from it (1 + R,)."""
     d = len(joint.names)
     points = [
-        sobol_points(dimension=3 * d, count=POINTS, seed=0, task="shapley", replicate=replicate)
+        sobol_points(3 * d, POINTS, seed=0, task="shapley", replicate=replicate)
         for replicate in range(REPLICATES)
     ]
     first, fresh, second = np.split(special.ndtri(np.concatenate(points)), 3, axis=1)
@@ -99,9 +99,9 @@ def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimat
     orders = _orders(d)
     effects = np.zeros((d, 1 + REPLICATES))
     for order in orders:
-        for place, i in enumerate(order):
-            held, more = (tuple(sorted(order[:k])) for k in (place, place + 1))
-            effects[i] += (closed(more) - closed(held)) / len(orders)
+        # as one input after the other is taken in
+        shares = [closed(tuple(sorted(order[:k]))) for k in range(d + 1)]
+        effects[[*order]] += np.diff(shares, axis=0) / len(orders)
     every = tuple(range(d))
     rest = [closed(every[:i] + every[i + 1 :]) for i in every]
     return {
@@ -115,6 +115,6 @@ def _orders(d: int) -> list[tuple[int, ...]]:
     """All orders of few inputs; of more random ones, each with its reverse."""
     if d <= MOST_EXACT:
         return list(permutations(range(d)))
-    generator = random_generator(seed=0, task="shapley orders")
+    generator = random_generator(0, "shapley orders")
     orders = [tuple(generator.permutation(d).tolist()) for _ in range(ORDERS)]
     return [*orders, *(order[::-1] for order in orders)]

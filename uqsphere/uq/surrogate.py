@@ -45,7 +45,7 @@ from .joint import Copula, Joint
 from .law import Law
 from .points import random_generator
 from .response import Fold, Response, cross_fit
-from .rows import as_table
+from .rows import as_table, beyond
 from .shapley import dependent_shares
 
 if TYPE_CHECKING:
@@ -235,9 +235,8 @@ class Expansion:
 
     def inside(self, rows: Any) -> Flags:
         """Which rows (n,) lie where the laws of the inputs do."""
-        pairs = zip(self.joint.laws, columns_of(rows, self.names).T, strict=True)
-        inside = [np.minimum(*law.tails(column)) > 0.0 for law, column in pairs]
-        return np.asarray(np.all(inside, axis=0))
+        outside = map(beyond, columns_of(rows, self.names).T, self.joint.laws)
+        return np.asarray(~np.any([*outside], axis=0))
 
     def germs_at(self, rows: Any) -> Array:
         """Values (n, d) of the germs at rows, at which the polynomial of `chaospy` gives the output
@@ -321,7 +320,7 @@ class Expansion:
         """
         from pandas import DataFrame
 
-        rng = random_generator(seed=seed, task="expansion")
+        rng = random_generator(seed, "expansion")
         x = self.joint.physical(rng.standard_normal((count, len(self.names))))
         value = predict(self.fit, self._points(x))
         return DataFrame(x, columns=self.names).assign(output=value)
@@ -378,20 +377,16 @@ def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed
     """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which
     rows are dealt.
     """
-    from threadpoolctl import threadpool_limits
-
-    order = random_generator(seed=seed, task="chaos rows").permutation(len(y))
+    order = random_generator(seed, "chaos rows").permutation(len(y))
     x = x[order]
     y = y[order]
     germs = germs_of(map(_with_few_values, joint.laws))
     points = _points(joint, germs, x)
-    # many small products: threads of linear algebra that wait for each other cost 20 times as much
-    with threadpool_limits(limits=1, user_api="blas"):
-        return Expansion(
-            joint=joint,
-            fit=fit_chaos(points, y, germs, plain=plain),
-            response=cross_fit(points, y, germs, plain=plain, independent=not joint.dependent)[0],
-        )
+    return Expansion(
+        joint=joint,
+        fit=fit_chaos(points, y, germs, plain=plain),
+        response=cross_fit(points, y, germs, plain=plain, independent=not joint.dependent)[0],
+    )
 
 
 # --- the file of an expansion ---------------------------------------------------------------------

@@ -258,7 +258,7 @@ def _pair_parts(y: Array) -> tuple[Array, Array]:
 @lru_cache(maxsize=4)
 def law_points(germs: Germs) -> Array:
     """Germ points (BLOCK, d) of the law, at which expansions are compared."""
-    points = sobol_points(dimension=len(germs), count=BLOCK, seed=0, task="polynomial chaos")
+    points = sobol_points(len(germs), BLOCK, seed=0, task="polynomial chaos")
     return germ_points(special.ndtri(points), germs)
 
 
@@ -269,7 +269,7 @@ def _pair_points(germs: Germs) -> Array:
     """
     blocks = Blocks(inputs_count=len(germs))
     points = [
-        blocks.mix(*base_points(blocks, count=PAIRS, seed=0, task="polynomial chaos", replicate=r))
+        blocks.mix(*base_points(blocks, PAIRS, seed=0, task="polynomial chaos", replicate=r))
         for r in range(PAIRS_REPLICATES)
     ]
     return germ_points(special.ndtri(np.array(points)), germs)

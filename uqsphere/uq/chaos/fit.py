@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import product
+from itertools import product, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -127,10 +127,7 @@ class Space:
     """The products of polynomials at germ points (n, d): `most` of them at most in a set."""
 
     def __init__(self, points: Array, germs: Sequence[GermLike]) -> None:
-        self.tables = [
-            orthonormal_values(germ, column, HIGHEST_DEGREE)
-            for germ, column in zip(germs, points.T, strict=True)
-        ]
+        self.tables = [*map(orthonormal_values, germs, points.T, repeat(HIGHEST_DEGREE))]
         self.highest = highest_degrees(germs, points)
         self.most = min(max(400, 3 * len(points)), MOST_CANDIDATES)
 
@@ -334,7 +331,6 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
     order: list[int] = []
     best = math.inf
     size = 1
-    looked = math.inf
     since = 0
     for k in range(most):
         if k:
@@ -362,22 +358,23 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
         residuals -= steps[:, None] * masked
         squares_left = np.vecdot(residuals, residuals)
         predicted = predicted + (steps[:, None] * fresh)[lane, sample]
-        order.append(int(rows[0]) if sound[0] else -1)
+        if sound[0]:
+            order.append(rows[0])
         error = target.error(predicted)
+        since += 1
+        if error < 0.99 * best:
+            since = 0
         if error < best:
             best = error
-            size = k + 1
+            size = len(order)
             held_out = predicted
-        since = 0 if error < 0.99 * looked else since + 1
-        looked = min(looked, error)
         if (squares_left <= floors).all() or since > max(10, k // 4):
             break
         np.matmul(masked, candidates.T, out=along[k])
         left[every, rows] = math.inf
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
-    kept = np.array(order[:size])
-    kept = kept[kept >= 0]
+    kept = order[:size]
     return Choice(target, basis.terms[kept], candidates[kept], held_out, best)
 
 

@@ -147,7 +147,7 @@ def failure_probability(
     subset = subset_simulation(evaluator, min(max(budget // 75, 100), 500))
     if subset.levels == 0 and (subset.estimate.value or 0.0) > 0.5:
         # failure is the rule: the probability of survival is looked for
-        survival = replace(evaluator, limit=lambda y: -evaluator.limits(y), budget=evaluator.left)
+        survival = replace(evaluator, limit=lambda y: -evaluator.limit(y), budget=evaluator.left)
         survived = failure_probability(survival, accuracy=accuracy)
         reason = survived.estimate.reason
         failure = replace(

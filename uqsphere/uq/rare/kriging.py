@@ -75,7 +75,7 @@ def by_kriging(
             fitted = np.append(fitted, wrong)
             rest = np.setdiff1d(rest, wrong)
             continue
-        model = replace(evaluator, function=surrogate.mean, limit=None, budget=LOOK)
+        model = replace(evaluator, function=surrogate.mean, limit=np.asarray, budget=LOOK)
         answer = search(model, accuracy=0.1)
         value = answer.estimate.value or 0.0
         draws = answer.draws
@@ -115,11 +115,11 @@ def _corrected(
     spent; None where there are too few, or nothing fails on the surrogate.
     """
     base = answer.estimate.value
-    model = replace(evaluator, limit=None)
+    model = replace(evaluator, limit=np.asarray)
     if not base or answer.draws is None:
         return None
     places = answer.draws.points.reshape(-1, evaluator.dimension)
-    order = random_generator(seed=evaluator.seed, task="fresh calls").permutation(len(places))
+    order = random_generator(evaluator.seed, "fresh calls").permutation(len(places))
     off = variance = np.empty(0)
     block = LEAST_FRESH
     value = 0.0

@@ -34,15 +34,15 @@ class Evaluator:
     """Evaluates a limit function of `dimension` independent standard normal variables, and counts.
 
     `function` maps rows (n, dimension) to answers (n,), nan where there is none, and `limit`
-    answers to g, failure where negative; without it they are g.  `integrated`: given u, failure has
-    the probability Phi(-g(u)).  `budget` is the most evaluations that may be spent; `seed` that of
-    all random numbers.
+    answers to g, failure where negative; unless given they are g.  `integrated`: given u, failure
+    has the probability Phi(-g(u)).  `budget` is the most evaluations that may be spent; `seed` that
+    of all random numbers.
     """
 
     function: Function
     dimension: int
     _: KW_ONLY
-    limit: Function | None = None
+    limit: Function = np.asarray
     integrated: bool = False
     budget: float = 30_000
     seed: int = 0
@@ -63,15 +63,11 @@ class Evaluator:
         self, dimension: int, count: int, task: str, replicate: int = 0, start: int = 0
     ) -> Array:
         """Quasi-random standard normal points (count, dimension)."""
-        uniforms = sobol_points(
-            dimension=dimension,
-            count=count,
-            start=start,
-            seed=self.seed,
-            task=task,
-            replicate=replicate,
+        return special.ndtri(
+            sobol_points(
+                dimension, count, start=start, seed=self.seed, task=task, replicate=replicate
+            )
         )
-        return special.ndtri(uniforms)
 
     def answers(self, points: Array) -> Array:
         """The function at points (n, dimension); nan beyond `REACH`, where nothing is evaluated.
@@ -88,17 +84,11 @@ class Evaluator:
             self.failed += int(np.isnan(answers[near]).sum())
         return answers
 
-    def limits(self, answers: Array) -> Array:
-        """g of answers (n,)."""
-        if self.limit is None:
-            return answers
-        return self.limit(answers)
-
     def values(self, points: Array, answers: Array | None = None) -> Array:
         """g at points (n, dimension), from their answers if there are; inf beyond `REACH`."""
         if answers is None:
             answers = self.answers(points)
-        return np.where(np.abs(points).max(axis=1) <= REACH, self.limits(answers), np.inf)
+        return np.where(np.abs(points).max(axis=1) <= REACH, self.limit(answers), np.inf)
 
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends

@@ -47,7 +47,7 @@ def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnsw
     True
     """
     seeds = int(SHARE * per_level)
-    rng = random_generator(seed=evaluator.seed, task="subset chains")
+    rng = random_generator(evaluator.seed, "subset chains")
     size = evaluator.size
     count = 10 * seeds
     going = np.arange(REPETITIONS)
