@@ -37,6 +37,12 @@ def frozen(kind: type | None = None, **options: bool) -> Any:
     return dataclass(kind, frozen=True, kw_only=True, **options)
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def bundle(kind: type) -> Any:
+    """A `frozen` dataclass that is equal to itself alone, since arrays in it have no one answer."""
+    return frozen(kind, eq=False)
+
+
 class _Special:
     """scipy.special, loaded at the first call of a function, since the import takes time."""
 

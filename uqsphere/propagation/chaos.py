@@ -27,7 +27,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, frozen, special
+from uqsphere.arrays import Array, Flags, Values, bundle, special
 from uqsphere.uq import Estimate, Sample, from_replicates
 from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
 from uqsphere.uq.chaos import integrals as integrals_of
@@ -55,7 +55,7 @@ METHOD = "polynomial chaos, corrected by rows"
 Indices: TypeAlias = Mapping[str, tuple[Estimate, ...]]
 
 
-@frozen(eq=False)
+@bundle
 class Expansion:
     """An expansion of one quantity with what the rows that it was not fitted to say of it.
 

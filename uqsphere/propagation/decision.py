@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import frozen
+from uqsphere.arrays import bundle
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.uq import student
@@ -30,7 +30,7 @@ _PASSES = 20
 _CLOSE = 1e-3
 
 
-@frozen(eq=False)
+@bundle
 class Settled(Curves):
     """Where the doubts of an aim leave the free number."""
 

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, bundle, special
 from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.models.scene import absent_quantity
@@ -38,7 +38,7 @@ VALUES = 25
 SPHERE = ("sphere.E", "sphere.nu", "sphere.density")
 
 
-@frozen(eq=False)
+@bundle
 class Design:
     """A study with the limits of all its failure modes, and the columns that they need.
 

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, bundle, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
@@ -45,7 +45,7 @@ LAWS = 400
 FEW, FEWEST = 20.0, 5.0
 
 
-@frozen(eq=False)
+@bundle
 class Aim:
     """The limits of a study that must survive, or break, with the failure modes beside them.
 
@@ -91,7 +91,7 @@ class Aim:
         )
 
 
-@frozen(eq=False)
+@bundle
 class Alternative:
     """One thing of a limit taken otherwise.
 
@@ -105,7 +105,7 @@ class Alternative:
     laws: Sequence[Law] = ()
 
 
-@frozen(eq=False)
+@bundle
 class Doubt(Alternative):
     """An alternative with its curve along a line.
 
@@ -210,7 +210,7 @@ def other_distributions(law: Law) -> dict[str, list[Law]]:
 # --- curves ---------------------------------------------------------------------------------------
 
 
-@frozen(eq=False)
+@bundle
 class Others:
     """The failure modes beside a limit, at each row.
 
@@ -230,7 +230,7 @@ class Others:
         return 1.0 - self.none + rows * self.none
 
 
-@frozen(eq=False)
+@bundle
 class Curves:
     """The limits of an aim along a line, alone and with the other failure modes."""
 

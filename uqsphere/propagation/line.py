@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, frozen, special
+from uqsphere.arrays import Array, Values, bundle, frozen, special
 from uqsphere.errors import StudyError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
@@ -32,7 +32,7 @@ _FEW_SHARE = 4
 _FEW = 16
 
 
-@frozen(eq=False)
+@bundle
 class Line:
     """Rows at rising values of the free number, or at the plan alone.
 

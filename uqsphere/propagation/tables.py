@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, frozen
+from uqsphere.arrays import Array, Places, Values, bundle
 from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
@@ -77,7 +77,7 @@ def no_indices(design: Design, reason: str, method: str, runs: int) -> Indices:
     return dict.fromkeys(design.inputs, (nothing, nothing))
 
 
-@frozen(eq=False)
+@bundle
 class Slow:
     """What answers the questions that `Tables` answer of a cheap model: the rows of a slow one,
     with the expansions that are fitted to them.
@@ -174,7 +174,7 @@ class Slow:
         return no_indices(self.design, reason, ROUGH, runs)
 
 
-@frozen(eq=False)
+@bundle
 class Tables:
     """What was evaluated, how accurate it is, and what the rows of a cheap model answer.  Tables
     that grow are new tables.

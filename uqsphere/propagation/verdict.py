@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen
+from uqsphere.arrays import Array, bundle
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import lookup
@@ -48,7 +48,7 @@ from .tables import Tables
 _AT_PLAN = 256
 
 
-@frozen(eq=False)
+@bundle
 class Judged:
     """One aim, judged.
 

@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, frozen
+from uqsphere.arrays import Array, Values, bundle
 
 from .chaos import projections
 from .describe import Description, heavy_tail, rising
@@ -53,7 +53,7 @@ from .response import FOLDS, METHOD, MOST, ROUNDING, Response, unseen
 NODES, PLACES = 17, 2048
 
 
-@frozen(eq=False)
+@bundle
 class Corrected:
     """The outputs of rows beside the predictions of expansions that have not seen them, and the
     predictions at many points of the law.

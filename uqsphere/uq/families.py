@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.arrays import frozen
+from uqsphere.arrays import bundle
 
 from . import forms
 from .forms import Form, LawError, Placed
@@ -37,7 +37,7 @@ DIMENSIONAL = frozenset(
 _POSITIVE = ("sd", "cov", "log_sd", "scale", "modulus", "shape", "dof", "rate", "alpha", "beta")
 
 
-@frozen(eq=False)
+@bundle
 class Family:
     """A family of laws; keys are those of a study's table, with `lower` and `upper` where these are
     the law's own.

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Flags, frozen, special
+from uqsphere.arrays import Array, Flags, bundle, frozen, special
 
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
@@ -46,7 +46,7 @@ MANY = 300
 # --- laws with a location and a scale -------------------------------------------------------------
 
 
-@frozen(eq=False)
+@bundle
 class LocationScale:
     """A family whose u(x) has a location m and a scale s."""
 
@@ -198,7 +198,7 @@ def _at_risk(leaving: Array) -> Array:
 # --- tests ----------------------------------------------------------------------------------------
 
 
-@frozen(eq=False)
+@bundle
 class StrengthTests:
     """Different values (k,) of tests in rising order, and how many failed or were stopped at each
     (k,).

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen, quiet, special
+from uqsphere.arrays import Array, bundle, quiet, special
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -51,7 +51,7 @@ def no_density(y: Array) -> Array:
     raise LawError("a step function has no density", "fit")
 
 
-@frozen(eq=False)
+@bundle
 class Form:
     """A law in standard form."""
 

@@ -16,7 +16,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Names, frozen, special
+from uqsphere.arrays import Array, Names, bundle, frozen, special
 
 from .forms import CERTAIN, GAUSS, LawError, student_t
 from .law import Law
@@ -31,7 +31,7 @@ _SMALLEST = 1e-10
 # --- one copula -----------------------------------------------------------------------------------
 
 
-@frozen(eq=False)
+@bundle
 class Copula:
     """The Gaussian copula with the correlation (size, size) of its scores, or Student's t with
     `dof` of freedom.
@@ -191,7 +191,7 @@ def _correlation_of_t(spearman: float, dof: float) -> float:
 # --- several inputs -------------------------------------------------------------------------------
 
 
-@frozen(eq=False)
+@bundle
 class Tie:
     """An input that is not drawn: the last member of `copula`, given the normal `scores` (..., size
     - 1) of others, which are these columns of the inputs that are drawn; there may be none."""
@@ -220,7 +220,7 @@ class Tie:
 FREE = Tie(copula=Copula(correlation=np.eye(1)), scores=np.empty(0), columns=())
 
 
-@frozen(eq=False)
+@bundle
 class Joint:
     """Named laws in a fixed order, and what ties them: columns with their copula; all that Gaussian
     copulas tie are one block.

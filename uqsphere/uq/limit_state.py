@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Flags, Places, frozen, special
+from uqsphere.arrays import Array, Flags, Places, bundle, special
 
 from .describe import quantile_estimates
 from .estimate import (
@@ -35,7 +35,7 @@ from .joint import FREE, Tie
 from .law import Law, make_law
 
 
-@frozen(eq=False)
+@bundle
 class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
@@ -280,7 +280,7 @@ def _root(
 # 1998, Keane 1994): unbiased, and for independent strengths the product itself.
 
 
-@frozen(eq=False)
+@bundle
 class Union:
     """L limits at the same (R, n) samples.
 
@@ -375,7 +375,7 @@ def union_state(union: Union) -> LimitState:
 # --- samples in which something breaks ------------------------------------------------------------
 
 
-@frozen(eq=False)
+@bundle
 class Breaking:
     """m samples of each replicate in which a limit is exceeded, drawn with their strengths.
 

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, frozen
+from uqsphere.arrays import Array, Places, bundle
 
 from .chaos import Chaos, Germs, Integrals, fit_chaos, predict
 from .chaos import integrals as integrals_of
@@ -59,7 +59,7 @@ def unseen(runs: int) -> str:
     return f"an event rarer than about {count_bound(runs):.2g} (3 in {runs} runs) is not in it"
 
 
-@frozen(eq=False)
+@bundle
 class Fold:
     """The expansion that was fitted without one fold of the rows.
 
@@ -78,7 +78,7 @@ class Fold:
         return predict(self.fit, points)
 
 
-@frozen(eq=False)
+@bundle
 class Response:
     """Expansions of the folds of n rows, and what each row differs from the one that was fitted
     without it.

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, frozen, is_labelled
+from uqsphere.arrays import Array, Flags, Names, bundle, is_labelled
 from uqsphere.errors import UsageError
 
 from .chaos import (
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@frozen(eq=False)
+@bundle
 class Prediction:
     """What an expansion says of n points.
 
@@ -191,7 +191,7 @@ def _with_few_values(law: Law) -> Law:
     return replace(law, parameters={**law.parameters, "bandwidth": 0.0})
 
 
-@frozen(eq=False)
+@bundle
 class Expansion:
     """The polynomial chaos of one output.
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, frozen, special
+from uqsphere.arrays import Array, Places, Values, bundle, special
 
 from ..families import FAMILIES
 from ..forms import Function
@@ -31,7 +31,7 @@ MOST_STEPS = HIGHEST_DEGREE + 1
 REACH, KNOTS = 12.0, 2401
 
 
-@frozen(eq=False)
+@bundle
 class Germ:
     """A germ with a law of its own, at points of the base "normal" or "uniform".
 

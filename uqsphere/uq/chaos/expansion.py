@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, Places, frozen, special
+from uqsphere.arrays import Array, Flags, Names, Places, bundle, frozen, special
 
 from ..estimate import ratio_of_means, spread, spreads, student
 from ..indices import Blocks, base_points, jansen_total, saltelli_first
@@ -46,7 +46,7 @@ class ChaospyObjects(NamedTuple):
     of_logarithm: bool
 
 
-@frozen(eq=False)
+@bundle
 class Chaos:
     """A fitted expansion.
 

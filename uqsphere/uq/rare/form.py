@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen
+from uqsphere.arrays import Array, bundle
 
 from .problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
@@ -21,7 +21,7 @@ from .problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 STEP, SAME = 0.03, 0.5
 
 
-@frozen(eq=False)
+@bundle
 class DesignPoint:
     """A design point (size,) in (augmented) standard normal space.
 
