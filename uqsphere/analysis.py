@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqsphere.arrays import Array, frozen, special
+from uqsphere.arrays import Array, Pair, frozen, special
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points, tails
@@ -145,16 +145,14 @@ def joint(
         return joint_of(laws, ties)
 
 
-def _arrays(x: Any, y: Any, laws: Joint) -> tuple[Array, Array]:
+def _arrays(x: Any, y: Any, laws: Joint) -> Pair:
     """x (n, d) in the order of the inputs and y (n,), matched by names and by index."""
     rows = columns_of(x, laws.names)
     y = as_answers(y)
     if hasattr(y, "reindex"):
-        from pandas import RangeIndex
-
         index = index_of(x, laws.names)
         if index is None:
-            index = RangeIndex(len(rows))
+            index = range(len(rows))
         y = in_order_of(y, index, "y")
     values = np.asarray(y, dtype=float)
     if values.shape != rows.shape[:1]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 Places: TypeAlias = NDArray[np.int64]
+#: two arrays that belong to each other, such as coordinates or both ends of intervals
+Pair: TypeAlias = tuple[Array, Array]
 #: names of columns, in their order
 Names: TypeAlias = Sequence[str]
 #: a number or an array of numbers: argument and result of elementwise formulas

@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, bundle
+from uqsphere.arrays import Array, Pair, Values, bundle
 
 from .chaos import projections
 from .describe import Description, heavy_tail, rising
@@ -129,7 +129,7 @@ class Corrected:
         if alone[1] - alone[0] < ends[1] - ends[0] or variance <= 0.0:
             value = rows.mean()
             ends = alone
-        estimate = self._estimate(*(math.sqrt(max(square, 0.0)) for square in (value, *ends)))
+        estimate = self._estimate(*np.sqrt(np.maximum([value, *ends], 0.0)))
         reason = heavy_tail(self.table) or heavy_tail(outputs, certain=True)
         if reason and estimate.value is not None:
             return replace(estimate, high=None, reason=reason)
@@ -171,7 +171,7 @@ class Corrected:
         return 2 * len(np.unique(self.response.outputs)) <= self.runs
 
     @cached_property
-    def _predicted(self) -> tuple[Array, Array]:
+    def _predicted(self) -> Pair:
         """Predictions (R, m) of the table and (n,) of the rows: of an output with few values the
         nearest of those that a fold has seen.
         """
@@ -246,7 +246,7 @@ class Corrected:
         )
 
 
-def nodes_of(residuals: Array) -> tuple[Array, Array]:
+def nodes_of(residuals: Array) -> Pair:
     """Values of residuals (n,), and the share of the rows that each of them stands for."""
     nodes = np.unique(np.quantile(residuals, np.linspace(0.0, 1.0, NODES)))
     if len(nodes) == 1:

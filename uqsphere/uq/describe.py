@@ -11,10 +11,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf, nan
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, Flags, Values, frozen, special
+from uqsphere.arrays import Array, Cells, Flags, Pair, Values, frozen, special
 
 from .estimate import (
     CELL,
@@ -67,11 +68,11 @@ def hill(outputs: Array) -> float:
     kept = outputs[np.isfinite(outputs)]
     count = _tail_count(kept.size)
     if kept.size < 4 * count:
-        return math.inf
+        return inf
     away = np.sort(np.abs(kept - np.median(kept)))[::-1]
     # where none of them is any farther away than the next one there is no tail
     if not away[0] > away[count] > 0.0:
-        return math.inf
+        return inf
     return 1.0 / float(np.mean(np.log(away[:count] / away[count])))
 
 
@@ -121,7 +122,7 @@ def describe(
         nothing = absent("too few successful samples in a replicate", method, total)
         none = dict.fromkeys(quantiles, nothing)
         return Description(
-            mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=math.nan
+            mean=nothing, sd=nothing, quantiles=none, censored_share=nothing, scale=nan
         )
     shown = method
     if late.any():
@@ -210,9 +211,9 @@ def quantile_estimates(
     total = samples.size
     kept = ~failed | (on_failure == "bound")
     # doubtful samples at the least and at the largest value they may have had
-    least = np.where(failed, -math.inf, samples)
+    least = np.where(failed, -inf, samples)
     read = sample_reader(np.sort(least[kept]))
-    upper = sample_reader(np.sort(np.where(failed | censored, math.inf, samples)[kept]))
+    upper = sample_reader(np.sort(np.where(failed | censored, inf, samples)[kept]))
     counts = kept.sum(axis=1)
     answers = {}
     for p in quantiles:
@@ -273,7 +274,7 @@ def describe_controlled(
         exact = function(expensive)
         off = exact - function(cheap)
         if off.std() <= 1e-12 * exact.std():
-            return math.inf
+            return inf
         return carriers((off - off.mean()) ** 2)
 
     mean = from_replicates(controlled(np.asarray), method, total, carrying=carrying(np.asarray))
@@ -326,7 +327,7 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
     return lambda p: places[order[np.searchsorted(below[:-1], p)]]
 
 
-def rising(levels: Array) -> tuple[Array, Array]:
+def rising(levels: Array) -> Pair:
     """The running maximum of levels (n, ...), and their running minimum from the right: the nearest
     levels above and below that never fall.
     """

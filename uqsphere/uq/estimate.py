@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, frozen, special
+from uqsphere.arrays import Array, Flags, Pair, Values, frozen, special
 
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
@@ -71,7 +72,7 @@ class Estimate:
     def half_width(self) -> float:
         """Half the length of the interval; inf where an end is absent."""
         if self.low is None or self.high is None:
-            return math.inf
+            return inf
         return 0.5 * (self.high - self.low)
 
     @property
@@ -88,7 +89,7 @@ class Estimate:
         if self.value is not None:
             low = min(low, self.value)
             high = max(high, self.value)
-        return replace(self, low=low, high=high, std_error=0.5 * (high - low) / student(math.inf))
+        return replace(self, low=low, high=high, std_error=0.5 * (high - low) / student(inf))
 
     def holding(self, other: Estimate) -> Estimate:
         """The same with an interval that holds both."""
@@ -149,10 +150,10 @@ def freedom(replicates: int, carriers: float) -> float:
     at least one: where few points carry what an answer is off by, the few that were met speak for
     those that were not.  Without any carrier there is nothing that few could miss.
 
-    >>> [round(freedom(16, carriers), 1) for carriers in (math.inf, 30.0, 1.0)]
+    >>> [round(freedom(16, carriers), 1) for carriers in (inf, 30.0, 1.0)]
     [15.0, 7.5, 1.0]
     """
-    return max(1.0 / (1.0 / (replicates - 1) + 2.0 / (carriers or math.inf)), 1.0)
+    return max(1.0 / (1.0 / (replicates - 1) + 2.0 / (carriers or inf)), 1.0)
 
 
 def carriers(weights: Array) -> float:
@@ -200,7 +201,7 @@ def from_replicates(
     evaluations: int,
     pooled: float | None = None,
     *,
-    carrying: float = math.inf,
+    carrying: float = inf,
 ) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
@@ -237,7 +238,7 @@ def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
     """
     n = len(influence)
     if n < 2:
-        return math.inf, math.inf
+        return inf, inf
     deviation = influence - influence.mean()
     unit = float(np.abs(deviation).max())
     if unit == 0.0:
@@ -251,7 +252,7 @@ def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
     return t * error + max(-shift, 0.0), t * error + max(shift, 0.0)
 
 
-def ratio_of_means(numerators: Array, denominators: Array) -> tuple[Array, Array]:
+def ratio_of_means(numerators: Array, denominators: Array) -> Pair:
     """Ratio (...) of two means over replicates (R, ...), and the deviations (R, ...) of the
     linearised ratio.
 
@@ -307,7 +308,7 @@ def share(flags: Flags, method: str = SHARE, *, weights: Values = 1.0) -> Estima
         return absent(FEW_REPLICATES, method, flags.size)
     else:
         rows = flags.mean(axis=1)
-        p = float((weights * rows).mean())
+        p = (weights * rows).mean()
         error = spread(weights * (rows - p), 1.0 / n)
     ends = probability_ends(p, 1.0 - p, error, replicates, flags.size)
     return bounded(p, *ends, method, flags.size)

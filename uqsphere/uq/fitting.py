@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Flags, bundle, frozen, special
+from uqsphere.arrays import Array, Flags, Pair, bundle, frozen, special
 
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
@@ -51,9 +51,7 @@ class LocationScale:
     """A family whose u(x) has a location m and a scale s."""
 
     u: Function  # rising or falling with x
-    parameters: Callable[
-        [Any, Any], dict[str, Any]
-    ]  # (m, s), numbers or arrays -> parameters without defaults
+    parameters: Callable[[float, float], Keys]  # m, s -> parameters without defaults
     #: of z: standard normal, or the logarithm of an exponential variable
     form: Form = SMALLEST
 
@@ -81,7 +79,7 @@ class LocationScale:
         power = (failures + stopped) * np.exp(np.minimum(z, 700.0))
         return failures * z - power, failures - power, -power
 
-    def maximum(self, u: Array, failures: Array, stopped: Any) -> tuple[Array, Array]:
+    def maximum(self, u: Array, failures: Array, stopped: Any) -> Pair:
         """Location and scale (rows,) of the largest likelihood of u (rows, n).
 
         `failures`, `stopped` (n,): how many tests failed, or were stopped, at each value.  sum over
@@ -130,7 +128,7 @@ class LocationScale:
     def _of_hazard(self, hazards: Array) -> Array:
         return self.form.quantile(-np.expm1(-hazards), np.exp(-hazards))
 
-    def fit(self, series: Array, leaving: Array) -> tuple[Array, Array]:
+    def fit(self, series: Array, leaving: Array) -> Pair:
         """Location and scale (rows,) of the largest likelihood of such series (rows, r)."""
         return self.maximum(series, np.ones(leaving.size), leaving - 1.0)
 
@@ -143,7 +141,7 @@ class LocationScale:
 
     def pivots(
         self, leaving: Array, count: int, generator: Generator, at: float | None = None
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """(m*/s*, 1/s*) (count,) of the largest likelihood of such series; normal beyond `MANY`
         failures.
 
@@ -334,7 +332,7 @@ class StrengthFit:
 def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
     """Location and scale of u(x) by the largest likelihood."""
     location, spread = law.maximum(law.u(tests.values)[None, :], tests.failures, tests.stopped)
-    return float(location[0]), float(spread[0])
+    return location.item(), spread.item()
 
 
 def fit_strength(
@@ -596,12 +594,8 @@ def possible_laws(
     tests = series_behind(law)
     location, scale = _best(tests, kind)
     centre, inverse = kind.pivots(tests.leaving, count, generator, at)
-    columns = kind.parameters(location - scale * centre, scale * inverse)
-    rows = np.column_stack(list(columns.values())).tolist()
-    return (
-        replace(law, parameters={**law.parameters, **dict(zip(columns, row, strict=True))})
-        for row in rows
-    )
+    pivots = np.transpose([location - scale * centre, scale * inverse]).tolist()
+    return (replace(law, parameters={**law.parameters, **kind.parameters(m, s)}) for m, s in pivots)
 
 
 def _made_again(law: Law, generator: Generator) -> Law:

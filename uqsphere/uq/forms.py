@@ -9,11 +9,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from math import inf, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, bundle, quiet, special
+from uqsphere.arrays import Array, Pair, bundle, quiet, special
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 Function = Callable[[Array], Array]
 Quantile = Callable[[Array, Array], Array]
-Tails = tuple[Array, Array]  # P(Y <= y), P(Y > y)
+Tails = Pair  # P(Y <= y), P(Y > y)
 
 #: normal scores beyond which a tail is taken for certain: the largest whose tail is a normal number
 CERTAIN = 37.0
@@ -63,7 +64,7 @@ class Form:
     #: mean and sd, where quadrature in normal scores is slow or inexact
     moments: tuple[float, float] | None = None
     #: from which on the lower, the upper tail has no moments
-    orders: tuple[float, float] = (math.inf, math.inf)
+    orders: tuple[float, float] = (inf, inf)
     #: probability that truncation has left
     mass: float = 1.0
 
@@ -94,7 +95,7 @@ def truncated(form: Form, a: float, b: float) -> Form:
         lower = np.minimum(start[0] + p * mass, 1.0)
         return form.quantile(lower, np.minimum(end[1] + q * mass, 1.0))
 
-    low, high = np.where(np.isinf([a, b]), form.orders, math.inf).tolist()
+    low, high = np.where(np.isinf([a, b]), form.orders, inf).tolist()
     return Form(
         tails=tails,
         quantile=quantile,
@@ -117,7 +118,7 @@ def either(ppf: Function, isf: Function) -> Quantile:
     return quantile
 
 
-def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = math.inf) -> Form:
+def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = inf) -> Form:
     """A form that is the same for -y."""
     return Form(
         tails=lambda y: (cdf(y), cdf(-y)),
@@ -136,13 +137,13 @@ def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
     )
 
 
-def falling(form: Form, order: float = math.inf) -> Form:
+def falling(form: Form, order: float = inf) -> Form:
     """The form whose tails are exchanged: that of a hazard that falls."""
     return replace(
         form,
         tails=lambda y: form.tails(y)[::-1],
         quantile=lambda p, q: form.quantile(q, p),
-        orders=(math.inf, order),
+        orders=(inf, order),
     )
 
 
@@ -172,7 +173,7 @@ def weibull(m: float | Array) -> Form:
     return by_hazard(
         lambda y: np.maximum(y, 0.0) ** m,
         lambda h: h ** (1.0 / m),
-        lambda y: np.log(np.abs(m)) + special.xlogy(m - 1.0, np.where(y < 0.0, math.nan, y)),
+        lambda y: np.log(np.abs(m)) + special.xlogy(m - 1.0, np.where(y < 0.0, nan, y)),
     )
 
 
@@ -200,8 +201,8 @@ def incomplete(name: str, end: float, log_density: Function, *shapes: float) -> 
 def gamma(k: float) -> Form:
     return incomplete(
         "gammainc",
-        math.inf,
-        lambda y: special.xlogy(k - 1.0, np.where(y < 0.0, math.nan, y)) - y - math.lgamma(k),
+        inf,
+        lambda y: special.xlogy(k - 1.0, np.where(y < 0.0, nan, y)) - y - math.lgamma(k),
         k,
     )
 
@@ -220,7 +221,7 @@ def student_t(dof: float) -> Form:
         far = np.maximum(special.betaincinv(0.5 * dof, 0.5, 2.0 * p), 1e-290)
         inside = special.betaincinv(0.5, 0.5 * dof, 1.0 - 2.0 * np.maximum(p, 0.3))
         ratio = np.where(p < 0.3, 1.0 / far - 1.0, inside / (1.0 - inside))
-        return np.where(p == 0.0, -math.inf, -np.sqrt(dof * ratio))
+        return np.where(p == 0.0, -inf, -np.sqrt(dof * ratio))
 
     def pdf(y: Array) -> Array:
         power = 0.5 * (dof + 1.0) * np.log1p(y * y / dof) + special.betaln(0.5, 0.5 * dof)
@@ -261,7 +262,7 @@ def form_of(name: str, law: Any, key: str) -> Form:
         pdf=law.pdf,
         moments=(mean, math.sqrt(variance)),
     )
-    order = math.inf if math.isfinite(variance) else 2.0
+    order = inf if math.isfinite(variance) else 2.0
     return _examined(form, name, key, order if math.isfinite(mean) else 1.0)
 
 
@@ -285,7 +286,7 @@ def _examined(form: Form, name: str, key: str, order: float | None = None) -> Fo
 
     Raises LawError, for a key, where a quantile in a tail has another probability.
     """
-    orders = [math.inf, math.inf]
+    orders = [inf, inf]
     for tail, side in enumerate(("lower", "upper")):
         with np.errstate(all="ignore"):
             places = form.quantile(*(_TAILS, 1.0 - _TAILS)[:: 1 - 2 * tail])
@@ -346,7 +347,7 @@ def empirical(law: "Law") -> Form:
         rank = np.ceil(p * inside.size * (1.0 - 4e-16)).astype(int) - 1
         return np.asarray(inside[np.clip(rank, 0, inside.size - 1)])
 
-    moments = (float(inside.mean()), float(inside.std())) if inside.size else (math.nan, math.nan)
+    moments = (float(inside.mean()), float(inside.std())) if inside.size else (nan, nan)
     return Form(tails=tails, quantile=quantile, moments=moments, mass=inside.size / len(law.data))
 
 
@@ -386,7 +387,7 @@ def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array]) -> Form:
         score = GAUSS.quantile(*np.hstack([own_tails(part) for part in some]))
         y = y[np.isfinite(score)]
         score = score[np.isfinite(score)]
-        rises = np.diff(np.maximum.accumulate(score), prepend=-math.inf) > 0.0
+        rises = np.diff(np.maximum.accumulate(score), prepend=-inf) > 0.0
         return PchipInterpolator(y[rises], score[rises]), PchipInterpolator(score[rises], y[rises])
 
     def inside(cubic: "PchipInterpolator", x: Array) -> Array:

@@ -17,7 +17,7 @@ from itertools import combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, frozen
+from uqsphere.arrays import Array, Pair, Values, frozen
 
 from .estimate import Estimate, absent, bounded, carriers, freedom, ratio_of_means, spread, student
 from .points import sobol_points
@@ -31,7 +31,7 @@ LARGE = 0.5
 ROUNDING = 1e-15
 
 #: numerators (R, m) and denominators (R, m) or (R, 1) of replicates, of m indices, their ratios
-Ratio = tuple[Array, Array]
+Ratio = Pair
 
 
 @frozen
@@ -71,7 +71,7 @@ class Blocks:
 
 def base_points(
     blocks: Blocks, count: int, *, seed: int, task: str, replicate: int, start: int = 0
-) -> tuple[Array, Array]:
+) -> Pair:
     """Uniform halves A, B, (count, d) each, of one replicate; `start` continues the same design.
 
     They are the columns of one scrambled Sobol' sequence, so that both together are evenly spread.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Names, frozen, special
+from uqsphere.arrays import Array, Names, Pair, frozen, special
 from uqsphere.errors import UsageError
 
 from .estimate import Estimate, absent, from_replicates
@@ -144,7 +144,7 @@ def to_salib(
 SALIB_METHODS = ("morris", "delta", "pawn", "hdmr")
 
 
-def morris_rows(inputs: Joint, count: int, *, seed: int) -> tuple[Array, Array]:
+def morris_rows(inputs: Joint, count: int, *, seed: int) -> Pair:
     """Uniform rows (count (d + 1), d) of SALib's trajectories on four levels, and the physical rows
     they stand for.
     """

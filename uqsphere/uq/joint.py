@@ -16,7 +16,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Names, bundle, frozen, special
+from uqsphere.arrays import Array, Names, Pair, bundle, frozen, special
 
 from .forms import CERTAIN, GAUSS, LawError, student_t
 from .law import Law
@@ -44,7 +44,7 @@ class Copula:
         """The copula of some of the members, in the order given."""
         return Copula(correlation=self.correlation[np.ix_(members, members)], dof=self.dof)
 
-    def _centre_and_scale(self, before: Array) -> tuple[Array, Array]:
+    def _centre_and_scale(self, before: Array) -> Pair:
         """Those (n,) of the (t) variate of a member, given the scores (n, j) of the j before it."""
         j = before.shape[1]
         inverse = np.linalg.inv(self.correlation[:j, :j])

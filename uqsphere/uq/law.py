@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, replace
 from functools import cached_property
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,8 @@ class Law:
     family: Family
     #: left out of the hash, by which germs of laws are kept: a dict has none
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
-    lower: float = -math.inf
-    upper: float = math.inf
+    lower: float = -inf
+    upper: float = inf
     data: tuple[float, ...] = ()
     censored: tuple[float, ...] = ()
     draws: tuple[tuple[float, ...], ...] = ()
@@ -169,7 +170,7 @@ class Law:
         """Mean before truncation; the median where there is no mean."""
         whole = self
         if not self._untruncated:
-            whole = replace(self, lower=-math.inf, upper=math.inf)
+            whole = replace(self, lower=-inf, upper=inf)
         if min(whole.form.orders) > 1.0:
             return whole.mean()
         return float(whole.ppf(0.5))
@@ -193,13 +194,13 @@ class Law:
         # anyway.
         known = np.isfinite(x)
         if not known.any():
-            return math.inf, math.inf
+            return inf, inf
         weights = weights[known]
         x = x[known]
         middle = x[x.size // 2]
         centre = float(middle + weights @ (x - middle))
         sd = math.sqrt(weights @ (x - centre) ** 2)
-        if abs(centre) < 1e-15 * sd < math.inf:
+        if abs(centre) < 1e-15 * sd < inf:
             centre = 0.0
         return centre, sd
 
@@ -207,16 +208,16 @@ class Law:
         """Mean of the law in force; nan or ±inf where there is none."""
         low, high = (order <= 1.0 for order in self.form.orders)
         if low or high:
-            return math.inf * (high - low)  # inf times 0 is nan
+            return inf * (high - low)  # inf times 0 is nan
         return self._moments[0]
 
     def sd(self) -> float:
         """Standard deviation of the law in force; nan or inf where there is none."""
         order = min(self.form.orders)
         if order <= 1.0:
-            return math.nan
+            return nan
         if order <= 2.0:
-            return math.inf
+            return inf
         return self._moments[1]
 
     # --- other laws that are like it --------------------------------------------------------------
@@ -263,8 +264,8 @@ def make_law(
 
 def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
     """Bounds of a law, infinite where there are none; raises LawError."""
-    a = -math.inf if lower is None else float(lower)
-    b = math.inf if upper is None else float(upper)
+    a = -inf if lower is None else float(lower)
+    b = inf if upper is None else float(upper)
     if not a < b:
         raise LawError(f"lower ({a:g}) must be below upper ({b:g})", "lower")
     return a, b
@@ -286,7 +287,7 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
     counts = np.asarray(weights)
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         raise LawError("values of a discrete distribution are finite numbers in a list", "values")
-    if counts.shape != numbers.shape or not (np.mod(counts, 1) == 0).all() or (counts < 0).any():
+    if counts.shape != numbers.shape or np.mod(counts, 1).any() or (counts < 0).any():
         raise LawError(
             "weights are whole numbers, one for each value: 2, 3 and 5 for 20, 30 and 50 %",
             "weights",

@@ -96,8 +96,8 @@ def _interval(
     None or all of the mass on one side gets the one-sided 95 % bound that a count of zero allows.
     """
     size = counts.sum()
-    p = float(event.sum() / size)
-    q = float(other.sum() / size)
+    p = event.sum() / size
+    q = other.sum() / size
     # The smaller side has the digits.
     rows = (event if p <= q else other).sum(axis=1) / counts
     return p / (p + q), *probability_ends(p, q, spread(rows, cell), rows.size, size)

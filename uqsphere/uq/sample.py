@@ -121,12 +121,11 @@ class Sample:
 
     def join(self, *others: "Sample") -> "Sample":
         """This sample and the rows that continue every replicate."""
-        start = self.count
-        joined = self.with_room(sum(part.count for part in (self, *others)))
-        for part in others:
-            joined.fill(start, part)
-            start += part.count
-        return joined
+        parts = self, *others
+        joined: dict[str, Any] = {}
+        for name in _ROWS:
+            joined[name] = np.concatenate([getattr(part, name) for part in parts], axis=1)
+        return replace(self, **joined)
 
     def head(self, count: int) -> "Sample":
         """The first rows of every replicate."""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, bundle, is_labelled
+from uqsphere.arrays import Array, Flags, Names, Pair, bundle, is_labelled
 from uqsphere.errors import UsageError
 
 from .chaos import (
@@ -120,7 +120,7 @@ def columns_of(rows: Any, names: Names) -> Array:
     return x
 
 
-def each_once(rows: Array, values: Array) -> tuple[Array, Array]:
+def each_once(rows: Array, values: Array) -> Pair:
     """Different rows, in the order of their first, and the mean of what each has; a warning where
     some repeat.
     """
@@ -297,7 +297,7 @@ class Expansion:
         return np.ones_like(value)
 
     @cached_property
-    def _scores(self) -> tuple[Array, Array]:
+    def _scores(self) -> Pair:
         """(P'P)⁻¹ of the rows, and what each of them is off by, over its standard error without
         itself, by size.
         """

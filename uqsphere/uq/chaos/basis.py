@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, bundle, special
+from uqsphere.arrays import Array, Pair, Places, Values, bundle, special
 
 from ..families import FAMILIES
 from ..forms import Function
@@ -123,7 +123,7 @@ def _germ_of(law: Law) -> GermLike:
     return law.family.germ
 
 
-def steps_of(law: Law) -> tuple[Array, Array]:
+def steps_of(law: Law) -> Pair:
     """Normal scores (m,) in the middle of the steps of a law with few values, and their
     probabilities.
     """

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, Places, bundle, frozen, special
+from uqsphere.arrays import Array, Flags, Names, Pair, Places, bundle, frozen, special
 
 from ..estimate import ratio_of_means, spread, spreads, student
 from ..indices import Blocks, base_points, jansen_total, saltelli_first
@@ -246,7 +246,7 @@ def integrals(fit: Chaos) -> Integrals:
     )
 
 
-def _pair_parts(y: Array) -> tuple[Array, Array]:
+def _pair_parts(y: Array) -> Pair:
     """Numerators (R, 2 d) of first and total indices, and variances (R, 1), of values (R, N, d + 2)
     at the blocks of pairs.
     """

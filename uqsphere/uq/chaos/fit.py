@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product, repeat
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -188,7 +189,7 @@ def _search(target: Target, basis: Basis) -> Choice:
             continue
         choice = forward_selection(target, Basis(basis.terms[:size], basis.rows[:size]))
         worse += 1
-        if choice.error < 0.99 * min((other.error for other in choices), default=math.inf):
+        if choice.error < 0.99 * min((other.error for other in choices), default=inf):
             worse = 0
         last = size
         choices.append(choice)
@@ -241,7 +242,7 @@ class Target:
     def __init__(self, outputs: Array, folds: Places, *, log: bool = False) -> None:
         self.outputs, self.folds, self.log = outputs, folds, log
         self.deviation = mean_and_sd(outputs)[1]
-        self.sign, self.bounds, w = 1.0, (-math.inf, math.inf), outputs
+        self.sign, self.bounds, w = 1.0, (-inf, inf), outputs
         if log:
             self.sign = math.copysign(1.0, outputs[0])
             w = np.log(self.sign * outputs)
@@ -329,14 +330,14 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
     sample = np.arange(n)
     predicted = held_out = np.zeros(n)
     order: list[int] = []
-    best = math.inf
+    best = inf
     size = 1
     since = 0
     for k in range(most):
         if k:
-            left[left <= least] = math.inf
+            left[left <= least] = inf
             rows = (correlations**2 / left).argmax(axis=1)
-        wanted = left[every, rows] < math.inf
+        wanted = left[every, rows] < inf
         if not wanted.any():
             break
         fresh = candidates[rows]
@@ -350,7 +351,7 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
                 break
             part = np.matmul(directions[:, :k], masked[:, :, None])[:, :, 0]
         sound = wanted & (squares > DEPENDENT * before)
-        inverse = 1.0 / np.sqrt(np.where(sound, squares, math.inf))[:, None]
+        inverse = 1.0 / np.sqrt(np.where(sound, squares, inf))[:, None]
         fresh *= inverse
         masked *= inverse
         directions[:, k] = fresh
@@ -371,7 +372,7 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
         if (squares_left <= floors).all() or since > max(10, k // 4):
             break
         np.matmul(masked, candidates.T, out=along[k])
-        left[every, rows] = math.inf
+        left[every, rows] = inf
         left -= along[k] ** 2
         correlations -= steps[:, None] * along[k]
     kept = order[:size]
@@ -391,7 +392,7 @@ def whole_set(target: Target, basis: Basis) -> Choice:
     most = min(2 * n // 3, MOST_TERMS, n - -(-n // len(folds)) - 1)
     sizes = [size for size in basis.sizes if size <= most]
     size = 1
-    best = math.inf
+    best = inf
     predicted = np.zeros(n)
     q = np.linalg.qr(basis.rows[: max(sizes, default=0)].T)[0]
     for tried in sizes:

@@ -133,13 +133,13 @@ def failure_probability(
     count = int(DEFENSIVE * budget)
     plain = draw(evaluator, standard_normal(d), count, "defensive share")
     pool = [plain]
-    starts = None
+    starts = np.empty((0, evaluator.size))
     if d <= MOST_DIMENSIONS:
         # points far out in all directions; the three most probable failures among them are starts
         look = draw(evaluator, wide_mixture(d), count, "wide look")
         pool.append(look)
-        limit = 2.0 if evaluator.integrated else 0.0
-        failing = look.points[evaluator.values(look.points, look.answers) < limit]
+        values = evaluator.values(look.points, look.answers)
+        failing = look.points[values < 2.0 * evaluator.integrated]
         starts = failing[np.argsort((failing**2).sum(axis=1), kind="stable")][:3]
         if evaluator.integrated:
             starts = np.insert(starts, d, -1.0, axis=1)

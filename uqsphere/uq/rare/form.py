@@ -6,13 +6,14 @@ its first step is that of Hasofer and Lind (1974) and Rackwitz and Fiessler (197
 central differences over a step that is wide enough to see across kinks.
 """
 
-import math
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import lru_cache
+from math import inf
 
 import numpy as np
 
-from uqsphere.arrays import Array, bundle
+from uqsphere.arrays import Array, Pair, bundle
 
 from .problem import MOST_DIMENSIONS, REACH, Evaluator, Spent
 
@@ -35,7 +36,7 @@ class DesignPoint:
 
 
 def find_design_points(
-    evaluator: Evaluator, *, starts: Array | None = None, most: float = math.inf
+    evaluator: Evaluator, *, starts: Iterable[Array] = (), most: float = inf
 ) -> tuple[DesignPoint, ...]:
     """Design points by rising distance, from the origin, from quasi-random directions, and from
     `starts` (n, size).
@@ -49,16 +50,14 @@ def find_design_points(
     """
     size = evaluator.size
     last = evaluator.count + most
-    first = [np.zeros((1, size))]
+    first = [np.zeros(size)]
     # beyond ten variables a step takes so many evaluations that one start has to do
     if size <= MOST_DIMENSIONS:
         normals = evaluator.normals(size, 4, "form starts")
-        first.append(2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    if starts is not None:
-        first.append(starts)
+        first.extend(2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True))
     points: list[DesignPoint] = []
     with suppress(Spent):
-        every = np.concatenate(first)
+        every = np.array([*first, *starts])
         values = evaluator.hard(every)
         # a typical size of g: its value at the origin, or its spread over the starts where that is
         # larger
@@ -102,7 +101,7 @@ def _search(
     shifts = np.concatenate([np.zeros((1, size)), steps, -steps])
 
     @lru_cache(maxsize=1)
-    def at(point: bytes) -> tuple[Array, Array]:
+    def at(point: bytes) -> Pair:
         if evaluator.count + len(shifts) > last:
             raise Spent
         values = evaluator.hard(np.frombuffer(point) + shifts) / scale
@@ -120,7 +119,7 @@ def _search(
     def gradient(point: Array) -> Array:
         return at(point.tobytes())[1]
 
-    ends = [REACH - STEP] * evaluator.dimension + [math.inf] * (size - evaluator.dimension)
+    ends = [REACH - STEP] * evaluator.dimension + [inf] * (size - evaluator.dimension)
     end = fmin_slsqp(
         half_square,
         start,

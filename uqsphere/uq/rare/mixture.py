@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, special
+from uqsphere.arrays import Array, Cells, Pair, special
 
 from ..describe import hill
 from ..estimate import (
@@ -191,7 +191,7 @@ def _step(mixture: Mixture, points: Array, weights: Array) -> Mixture:
     return Mixture(loads / loads.sum(), means, np.linalg.cholesky(covariances))
 
 
-def _moments(points: Array, share: Array, number: float, before: Array) -> tuple[Array, Array]:
+def _moments(points: Array, share: Array, number: float, before: Array) -> Pair:
     """Mean (d,) and covariance (d, d) of points (n, d) with shares (n,) that are worth so many.
 
     Beyond ten variables points are too few for a full covariance: it has one variance along the
@@ -253,7 +253,7 @@ def weighted(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array
     return points, np.nan_to_num(mass) * ratio, np.isnan(mass) * ratio
 
 
-def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array]:
+def failures(evaluator: Evaluator, draws: Sequence[Draws]) -> Pair:
     """Failing points (n, d) of all draws, with their weights (n,)."""
     points, weights, _ = weighted(evaluator, draws)
     return points[weights > 0.0], weights[weights > 0.0]

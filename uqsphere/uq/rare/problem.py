@@ -9,6 +9,7 @@ limit.
 
 import math
 from dataclasses import KW_ONLY, dataclass
+from math import inf, nan
 
 import numpy as np
 
@@ -78,7 +79,7 @@ class Evaluator:
             raise Spent
         self.count += len(points)
         near = np.abs(points).max(axis=1) <= REACH
-        answers = np.full(len(points), np.nan)
+        answers = np.full(len(points), nan)
         if near.any():
             answers[near] = self.function(points[near])
             self.failed += int(np.isnan(answers[near]).sum())
@@ -88,14 +89,14 @@ class Evaluator:
         """g at points (n, dimension), from their answers if there are; inf beyond `REACH`."""
         if answers is None:
             answers = self.answers(points)
-        return np.where(np.abs(points).max(axis=1) <= REACH, self.limit(answers), np.inf)
+        return np.where(np.abs(points).max(axis=1) <= REACH, self.limit(answers), inf)
 
     def hard(self, points: Array) -> Array:
         """The hard limit at points (n, size); a failed evaluation is +inf, so that no search ends
         there.
         """
         values = self.values(points[:, : self.dimension])
-        values[np.isnan(values)] = np.inf
+        values[np.isnan(values)] = inf
         if self.integrated:
             values += points[:, self.dimension]
         return values
@@ -105,7 +106,7 @@ class Evaluator:
         values = self.values(points, answers)
         if self.integrated:
             return special.ndtr(-values)
-        return np.where(np.isnan(values), np.nan, values < 0.0)
+        return np.where(np.isnan(values), nan, values < 0.0)
 
 
 def log_normal_density(points: Array) -> Array:
