@@ -28,16 +28,16 @@ import numpy as np
 
 from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos import (
+from uqsphere.uq.chaos.basis import (
     Germ,
     GermLike,
     base_of,
-    fit_chaos,
     germ_points,
     germs_of,
     hyperbolic_indices,
-    predict,
 )
+from uqsphere.uq.chaos.expansion import predict
+from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator, sobol_points
 

@@ -23,7 +23,7 @@ from scipy.special import ndtr, ndtri
 
 from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
-from uqsphere.uq.chaos import germ_points
+from uqsphere.uq.chaos.basis import germ_points
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate

@@ -15,8 +15,16 @@ from tests.campaigns.intervals import coverage_models, far_event_model
 from tests.campaigns.zoo import MODELS as ZOO
 from tests.campaigns.zoo import all_truths
 from uqsphere import analysis
-from uqsphere.uq.chaos import Chaos, fit_chaos, germ_points, germs_of, integrals, predict, rows_of
-from uqsphere.uq.chaos.basis import grown, hyperbolic_indices, nested
+from uqsphere.uq.chaos.basis import (
+    germ_points,
+    germs_of,
+    grown,
+    hyperbolic_indices,
+    nested,
+    rows_of,
+)
+from uqsphere.uq.chaos.expansion import Chaos, predict
+from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.estimate import distances
 from uqsphere.uq.interop import load_chaospy
@@ -78,7 +86,7 @@ def test_a_polynomial_of_a_law_is_exact_from_few_rows(name: str) -> None:
     fit = fit_chaos(points, y, germs)
     assert fit.cross_validation_error < 1e-12
     assert not fit.log
-    mean, sd = integrals(fit).mean, integrals(fit).sd
+    mean, sd = fit.integrals.mean, fit.integrals.sd
     many, rows = drawn([LAWS[name]] * 2, 1 << 14, seed=7)
     t = np.log(rows) if name == "lognormal" else rows
     truth = 1.0 + t[:, 0] - 2.0 * t[:, 1] ** 2 + 0.5 * t[:, 0] * t[:, 1]
@@ -93,11 +101,11 @@ def test_a_product_of_lognormals_is_exact_with_its_moments_and_indices() -> None
     laws = [make_law("lognormal", {"log_mean": 0.0, "log_sd": float(one)}) for one in s]
     points, x = drawn(laws, 256)
     fit = fit_chaos(points, x.prod(axis=1), germs_of(laws))
-    found, whole = integrals(fit), float((s**2).sum())
+    found, whole = fit.integrals, float((s**2).sum())
     assert fit.log
     assert fit.cross_validation_error < 1e-20
-    assert found.first == pytest.approx(np.expm1(s**2) / math.expm1(whole), abs=1e-9)
-    assert found.total == pytest.approx(
+    assert found.shares[0] == pytest.approx(np.expm1(s**2) / math.expm1(whole), abs=1e-9)
+    assert found.shares[1] == pytest.approx(
         np.expm1(s**2) * np.exp(whole - s**2) / math.expm1(whole), abs=1e-9
     )
     assert found.mean == pytest.approx(math.exp(0.5 * whole), rel=1e-9)
@@ -118,7 +126,7 @@ def test_a_logarithm_with_interactions_is_integrated_to_what_is_asked() -> None:
         cross_validation_error=0.0,
         samples=9,
     )
-    found = integrals(fit)
+    found = fit.integrals
     z, w = np.polynomial.hermite_e.hermegauss(60)
     w = w / w.sum()
     y = np.exp(0.5 * z[:, None] - 0.2 * z[None, :] + 0.1 * np.outer(z, z))
@@ -126,8 +134,8 @@ def test_a_logarithm_with_interactions_is_integrated_to_what_is_asked() -> None:
     variance = w @ y**2 @ w - mean**2
     first = [(w @ (y @ w) ** 2 - mean**2) / variance, (w @ (w @ y) ** 2 - mean**2) / variance]
     assert found.error <= 2e-3
-    assert found.first == pytest.approx(first, abs=3e-3)
-    assert found.total == pytest.approx([1.0 - first[1], 1.0 - first[0]], abs=3e-3)
+    assert found.shares[0] == pytest.approx(first, abs=3e-3)
+    assert found.shares[1] == pytest.approx([1.0 - first[1], 1.0 - first[0]], abs=3e-3)
     assert (found.mean, found.sd) == pytest.approx((mean, math.sqrt(variance)), rel=3e-3)
 
 
@@ -154,7 +162,7 @@ def test_what_no_polynomial_fits_says_so() -> None:
     assert fit.cross_validation_error > 0.5
     constant = fit_chaos(rng.standard_normal((16, 2)), np.full(16, 7.0), ("normal", "normal"))
     assert constant.constant
-    assert integrals(constant).mean == 7.0
+    assert constant.integrals.mean == 7.0
     with pytest.raises(ValueError, match="not finite"):
         fit_chaos(np.zeros((8, 1)), np.array([1.0] * 7 + [np.nan]), ("normal",))
     with pytest.raises(ValueError, match="need points"):
@@ -169,7 +177,7 @@ def test_units_cancel(size: float) -> None:
         fit_chaos(points, k * y, germs_of([LAWS["normal"], LAWS["uniform"]])) for k in (1.0, size)
     )
     assert other.coefficients / size == pytest.approx(one.coefficients, rel=1e-9, abs=1e-12)
-    assert integrals(other).total == pytest.approx(integrals(one).total, rel=1e-9)
+    assert other.integrals.shares[1] == pytest.approx(one.integrals.shares[1], rel=1e-9)
 
 
 # --- chaospy --------------------------------------------------------------------------------------
@@ -202,14 +210,14 @@ def test_chaospy_has_the_same_values_moments_and_indices(log: bool) -> None:
         cross_validation_error=0.0,
         samples=80,
     )
-    own = integrals(plain)
+    own = plain.integrals
     assert float(chaospy.E(made.polynomial, made.germs)) == pytest.approx(own.mean, rel=1e-12)
     assert float(chaospy.Std(made.polynomial, made.germs)) == pytest.approx(own.sd, rel=1e-12)
     assert chaospy.FirstOrderSobol(made.expansion, made.coefficients) == pytest.approx(
-        own.first, abs=2e-15
+        own.shares[0], abs=2e-15
     )
     assert chaospy.TotalOrderSobol(made.expansion, made.coefficients) == pytest.approx(
-        own.total, abs=2e-15
+        own.shares[1], abs=2e-15
     )
 
 

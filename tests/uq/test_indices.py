@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from tests.campaigns.intervals import CoverageModel, coverage_models
 from uqsphere.propagation.limits import change_per_sd
-from uqsphere.uq.chaos import germ_points, germs_of
+from uqsphere.uq.chaos.basis import germ_points, germs_of
 from uqsphere.uq.foreign import joint_of
 from uqsphere.uq.indices import Blocks, base_points, jansen_total, sampled_indices
 from uqsphere.uq.interop import morris_rows, salib_measures, to_salib

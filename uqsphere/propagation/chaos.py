@@ -29,8 +29,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values, bundle, special
 from uqsphere.uq import Estimate, Sample, from_replicates
-from uqsphere.uq.chaos import Chaos, Integrals, fit_chaos, germ_points, predict, rows_of
-from uqsphere.uq.chaos import integrals as integrals_of
+from uqsphere.uq.chaos.basis import germ_points, rows_of
+from uqsphere.uq.chaos.expansion import Chaos, predict
+from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import ratio_of_means, spread, student
 from uqsphere.uq.response import REJECTED
@@ -79,11 +80,6 @@ class Expansion:
     left: float
     beyond: float
 
-    @cached_property
-    def integrals(self) -> Integrals:
-        """Moments and indices of the expansion itself."""
-        return integrals_of(self.fit)
-
     def projection(self, which: Flags, share: float) -> tuple[Array, Array]:
         """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is
         left is added.
@@ -91,14 +87,14 @@ class Expansion:
         share : of the expansion's own variance that belongs to these terms
         """
         coefficients = self.fit.plain_form.coefficients[which]
-        part = share * self.integrals.sd**2 + 2.0 * self.cross[:, which] @ coefficients
+        part = share * self.fit.integrals.sd**2 + 2.0 * self.cross[:, which] @ coefficients
         return part, self._variances
 
     @cached_property
     def _variances(self) -> Values:
         rest = self.residuals - self.residuals.mean()
-        off = self.values[:, : rest.shape[1]] - self.integrals.mean
-        return self.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1)
+        off = self.values[:, : rest.shape[1]] - self.fit.integrals.mean
+        return self.fit.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1)
 
 
 def expansions(
@@ -182,7 +178,7 @@ def _explained(points: Array, residuals: Array) -> Array:
 
 def _runs_away(expansion: Expansion) -> bool:
     """Whether the rows contradict the variance of an expansion, which it makes where none lies."""
-    moments = expansion.integrals
+    moments = expansion.fit.integrals
     if not moments.sd > 0.0:
         return False
     # over the variance of the expansion
@@ -202,7 +198,7 @@ def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
     scores : (R-1, m, d) of the inputs
     residuals : (R-1, m) of these rows
     """
-    moments = integrals_of(fit)
+    moments = fit.integrals
     if not moments.sd > 0.0:
         return 0.0
     rows = scores[0, :TAIL_POINTS]
@@ -254,7 +250,7 @@ def values_at(design: Design, expansion: Expansion, normals: Array) -> Array:
 def by_chaos(design: Design, expansion: Expansion) -> Indices:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
     form = expansion.fit.plain_form
-    integrals = expansion.integrals
+    integrals = expansion.fit.integrals
     active = form.multi_indices > 0
     many = active.sum(axis=1)
     everything = (expansion.residuals**2).mean(axis=1)
@@ -262,9 +258,9 @@ def by_chaos(design: Design, expansion: Expansion) -> Indices:
     for k, name in enumerate(design.inputs):
         least, most = expansion.explained[:, :, k]
         alone = active[:, k] & (many == 1)
-        first = _index(expansion, alone, integrals.first[k], least, most)
+        first = _index(expansion, alone, integrals.shares[0, k], least, most)
         least = np.clip(least, 0.0, everything)
-        total = _index(expansion, active[:, k], integrals.total[k], least, everything)
+        total = _index(expansion, active[:, k], integrals.shares[1, k], least, everything)
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
@@ -295,7 +291,7 @@ def _index(expansion: Expansion, which: Flags, share: float, least: Array, most:
             return end
         ends.append((end.value, end.low, end.high))
     values, lows, highs = np.transpose(ends)
-    error = expansion.integrals.error + expansion.beyond
+    error = expansion.fit.integrals.error + expansion.beyond
     low = np.clip(lows.min() - error, 0.0, 1.0)
     high = np.clip(highs.max() + error, low, 1.0)
     value = np.clip(values.mean(), low, high)

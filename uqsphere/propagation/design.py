@@ -25,7 +25,7 @@ from uqsphere.models.scene import absent_quantity
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
-from uqsphere.uq.chaos import GermLike, germs_of
+from uqsphere.uq.chaos.basis import GermLike, germs_of
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import count_tests, is_fitted
 from uqsphere.uq.indices import Blocks

@@ -32,7 +32,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Pair, Values, bundle
 
-from .chaos import projections
+from .chaos.expansion import projections
 from .describe import Description, heavy_tail, rising
 from .estimate import (
     Estimate,
@@ -343,7 +343,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         there = response.fold == k
         moments = response.integrals[k]
         unit = moments.sd or 1.0
-        shares[place] = moments.first, moments.total
+        shares[place] = moments.shares
         rounding = max(rounding, moments.error)
         residual[there] = response.residuals[there] / unit
         parts = projections(response.folds[k].fit, response.points[there]) / unit
@@ -387,7 +387,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         highs[1] = np.clip(1.0 - (lows[0].sum() - lows[0]), lows[0], 1.0)
         best[1] = math.nan
         if response.error < 1.0:
-            best[1] = np.median([moments.total for moments in response.integrals], axis=0)
+            best[1] = np.median([moments.shares[1] for moments in response.integrals], axis=0)
         reasons[1] = "bounded by the first indices"
     orders = {}
     columns = np.stack([np.clip(best, lows, highs), lows, highs], axis=2).tolist()

@@ -25,11 +25,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places, bundle
 
-from .chaos import Chaos, Germs, Integrals, fit_chaos, predict
-from .chaos import integrals as integrals_of
-from .chaos.basis import score_of
-from .chaos.expansion import law_points
-from .chaos.fit import constant_fit, folds_of
+from .chaos.basis import Germs, score_of
+from .chaos.expansion import Chaos, Integrals, law_points, predict
+from .chaos.fit import constant_fit, fit_chaos, folds_of
 from .estimate import count_bound, distances, mean_and_sd, student
 
 METHOD = "polynomial chaos, corrected by its residuals"
@@ -131,7 +129,7 @@ class Response:
     @cached_property
     def integrals(self) -> tuple[Integrals, ...]:
         """Moments and indices of the expansion of every fold."""
-        return tuple(integrals_of(fold.fit) for fold in self.folds)
+        return tuple(fold.fit.integrals for fold in self.folds)
 
     @property
     def usable(self) -> bool:

@@ -22,7 +22,8 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 
-from .chaos import germ_points, predict
+from .chaos.basis import germ_points
+from .chaos.expansion import predict
 from .estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
 from .forms import Function
 from .indices import LARGE

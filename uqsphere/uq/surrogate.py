@@ -26,18 +26,9 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Names, Pair, bundle, is_labelled
 from uqsphere.errors import UsageError
 
-from .chaos import (
-    Chaos,
-    ChaospyObjects,
-    Germs,
-    fit_chaos,
-    germ_points,
-    germs_of,
-    integrals,
-    predict,
-    rows_of,
-)
-from .chaos.basis import MOST_STEPS, Germ, values_of
+from .chaos.basis import MOST_STEPS, Germ, Germs, germ_points, germs_of, rows_of, values_of
+from .chaos.expansion import Chaos, ChaospyObjects, predict
+from .chaos.fit import fit_chaos
 from .corrected import indices_of
 from .estimate import LEVEL, Estimate
 from .families import Family, family_of
@@ -311,7 +302,7 @@ class Expansion:
 
     def moments(self) -> tuple[float, float]:
         """Mean and standard deviation of the expansion, for independent inputs."""
-        moments = integrals(self.fit)
+        moments = self.fit.integrals
         return moments.mean, moments.sd
 
     def sample(self, count: int, *, seed: int = 0) -> "DataFrame":

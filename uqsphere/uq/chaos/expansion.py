@@ -46,6 +46,19 @@ class ChaospyObjects(NamedTuple):
     of_logarithm: bool
 
 
+@frozen
+class Integrals:
+    """Mean, sd, and the first and the total indices, `shares` (2, d), of an expansion; `error` is
+    the half-width of the indices, `moment_errors` those of the mean and of the variance.
+    """
+
+    mean: float
+    sd: float
+    shares: Array
+    error: float = 0.0
+    moment_errors: tuple[float, float] = (0.0, 0.0)
+
+
 @bundle
 class Chaos:
     """A fitted expansion.
@@ -164,6 +177,55 @@ class Chaos:
             samples=len(points),
         )
 
+    @cached_property
+    def integrals(self) -> Integrals:
+        """Its moments and indices: of its coefficients.
+
+        An expansion S of ln y without interactions is a product, whose moments and indices are
+        known by quadrature.  Any other one has those of its plain form S', and what pairs of points
+        (`uq.indices`) show of S less what they show of S': their noise is that of S - S'.
+
+        >>> chaos = Chaos(coefficients=np.array([5.0, 3.0, 1.0]),
+        ...               multi_indices=np.array([[0, 0], [1, 0], [1, 1]]),
+        ...               germs=("normal", "normal"), cross_validation_error=0.0, samples=9)
+        >>> found = chaos.integrals
+        >>> found.mean, round(found.sd**2, 12)
+        (5.0, 10.0)
+        >>> found.shares.round(12).tolist()
+        [[0.9, 0.0], [1.0, 0.1]]
+        """
+        d = len(self.germs)
+        if self.constant:
+            level = float(predict(self, np.zeros(d)))
+            return Integrals(mean=level, sd=0.0, shares=np.zeros((2, d)))
+        if self.log and (self.multi_indices > 0).sum(axis=1).max() == 1:
+            return _product(self)
+        plain = self.plain_form
+        parts = plain.parts
+        varying = plain.coefficients * parts[1].any(axis=1)
+        unit = float(np.abs(varying).max())  # squares of large ones stay finite
+        squares = (varying / unit) ** 2
+        mean = float(plain.coefficients[0])
+        whole = float(squares.sum())
+        shares = squares @ parts
+        if not self.log:
+            return Integrals(mean=mean, sd=unit * math.sqrt(whole), shares=shares / whole)
+        points = _pair_points(self.germs)
+        # about the mean of the plain form: what the two means differ by is no scatter
+        own, other = ((predict(form, points) - mean) / unit for form in (self, plain))
+        (tops, variance), (plain_tops, plain_variance) = map(_pair_parts, (own, other))
+        middle = (own - other)[:, :, [0, -1]].mean(axis=(1, 2))
+        scale = whole + variance - plain_variance - (middle**2)[:, None]
+        ratios, off = ratio_of_means(shares.ravel() + tops - plain_tops, scale)
+        t = student(PAIRS_REPLICATES)
+        return Integrals(
+            mean=mean + unit * float(middle.mean()),
+            sd=unit * math.sqrt(max(scale.mean(), 0.0)),
+            shares=ratios.reshape(2, d),
+            error=t * float(spreads(off).max()),
+            moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
+        )
+
 
 def predict(fit: Chaos, points: Array) -> Array:
     """Values (...) of the expansion at germ points (..., d)."""
@@ -178,72 +240,6 @@ def predict(fit: Chaos, points: Array) -> Array:
 
 
 # --- moments and indices --------------------------------------------------------------------------
-
-
-@frozen
-class Integrals:
-    """Mean, sd, first and total indices (d,) of an expansion; `error` is the half-width of the
-    indices, `moment_errors` those of the mean and of the variance.
-    """
-
-    mean: float
-    sd: float
-    first: Array
-    total: Array
-    error: float = 0.0
-    moment_errors: tuple[float, float] = (0.0, 0.0)
-
-
-def integrals(fit: Chaos) -> Integrals:
-    """Moments and indices of an expansion: of its coefficients.
-
-    An expansion S of ln y without interactions is a product, whose moments and indices are known by
-    quadrature.  Any other one has those of its plain form S', and what pairs of points
-    (`uq.indices`) show of S less what they show of S': their noise is that of S - S'.
-
-    >>> chaos = Chaos(coefficients=np.array([5.0, 3.0, 1.0]),
-    ...               multi_indices=np.array([[0, 0], [1, 0], [1, 1]]),
-    ...               germs=("normal", "normal"), cross_validation_error=0.0, samples=9)
-    >>> found = integrals(chaos)
-    >>> found.mean, round(found.sd**2, 12)
-    (5.0, 10.0)
-    >>> found.first.round(12).tolist(), found.total.round(12).tolist()
-    ([0.9, 0.0], [1.0, 0.1])
-    """
-    d = len(fit.germs)
-    if fit.constant:
-        level = float(predict(fit, np.zeros(d)))
-        return Integrals(mean=level, sd=0.0, first=np.zeros(d), total=np.zeros(d))
-    if fit.log and (fit.multi_indices > 0).sum(axis=1).max() == 1:
-        return _product(fit)
-    plain = fit.plain_form
-    parts = plain.parts
-    varying = plain.coefficients * parts[1].any(axis=1)
-    unit = float(np.abs(varying).max())  # squares of large ones stay finite
-    squares = (varying / unit) ** 2
-    mean = float(plain.coefficients[0])
-    whole = float(squares.sum())
-    shares = squares @ parts
-    if not fit.log:
-        first, total = shares / whole
-        return Integrals(mean=mean, sd=unit * math.sqrt(whole), first=first, total=total)
-    points = _pair_points(fit.germs)
-    # about the mean of the plain form: what the two means differ by is no scatter
-    own, other = ((predict(form, points) - mean) / unit for form in (fit, plain))
-    (tops, variance), (plain_tops, plain_variance) = map(_pair_parts, (own, other))
-    middle = (own - other)[:, :, [0, -1]].mean(axis=(1, 2))
-    scale = whole + variance - plain_variance - (middle**2)[:, None]
-    ratios, off = ratio_of_means(shares.ravel() + tops - plain_tops, scale)
-    first, total = ratios.reshape(2, d)
-    t = student(PAIRS_REPLICATES)
-    return Integrals(
-        mean=mean + unit * float(middle.mean()),
-        sd=unit * math.sqrt(max(scale.mean(), 0.0)),
-        first=first,
-        total=total,
-        error=t * float(spreads(off).max()),
-        moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
-    )
 
 
 def _pair_parts(y: Array) -> Pair:
@@ -303,8 +299,7 @@ def _product(fit: Chaos) -> Integrals:
     return Integrals(
         mean=float(mean),
         sd=float(sd),
-        first=more / whole,
-        total=more / (1.0 + more) * (1.0 + 1.0 / whole),
+        shares=np.array([more / whole, more / (1.0 + more) * (1.0 + 1.0 / whole)]),
     )
 
 

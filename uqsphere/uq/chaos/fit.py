@@ -70,7 +70,7 @@ def fit_chaos(
 
     Raises ValueError for values that are not finite and for shapes that do not go together.
 
-    >>> from uqsphere.uq.chaos import predict
+    >>> from uqsphere.uq.chaos.expansion import predict
     >>> x = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 2))
     >>> chaos = fit_chaos(x, 1.0 + x[:, 0] * x[:, 1] ** 2, ("uniform", "uniform"))
     >>> float(predict(chaos, np.array([[0.5, 0.5]]))[0].round(12))
