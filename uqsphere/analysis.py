@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from uqsphere.arrays import Array, Pair, frozen, special
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
-from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points, tails
+from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
@@ -525,7 +525,7 @@ def fragility(
             if not np.isfinite(answers).all():
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
             state = LimitState(demands=answers.reshape(REPLICATES, count), strength=law)
-            rows.append(tails(state)[0].mean(axis=1))
+            rows.append(state.tails()[0].mean(axis=1))
         return _fragility(grid, np.array(rows), count, (0.05, 0.5, 0.95))
 
 

@@ -36,7 +36,6 @@ from uqsphere.uq.chaos.basis import (
     germs_of,
     hyperbolic_indices,
 )
-from uqsphere.uq.chaos.expansion import predict
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.law import Law, make_law
 from uqsphere.uq.points import random_generator, sobol_points
@@ -519,7 +518,7 @@ def measured(name: str, samples: int, seed: int) -> tuple[float, float, float, s
     fit = fit_chaos(points, outputs, model.germs)
     seconds = time.process_time() - begin
     return (
-        relative_error(predict(fit, unseen), truth),
+        relative_error(fit.predict(unseen), truth),
         fit.cross_validation_error,
         seconds,
         repr(fit),

@@ -23,7 +23,7 @@ from uqsphere.uq.chaos.basis import (
     nested,
     rows_of,
 )
-from uqsphere.uq.chaos.expansion import Chaos, predict
+from uqsphere.uq.chaos.expansion import Chaos
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.estimate import distances
@@ -90,7 +90,7 @@ def test_a_polynomial_of_a_law_is_exact_from_few_rows(name: str) -> None:
     many, rows = drawn([LAWS[name]] * 2, 1 << 14, seed=7)
     t = np.log(rows) if name == "lognormal" else rows
     truth = 1.0 + t[:, 0] - 2.0 * t[:, 1] ** 2 + 0.5 * t[:, 0] * t[:, 1]
-    assert np.allclose(predict(fit, many), truth, atol=1e-6 * sd)
+    assert np.allclose(fit.predict(many), truth, atol=1e-6 * sd)
     assert mean == pytest.approx(truth.mean(), abs=5e-3 * sd)
     assert sd == pytest.approx(truth.std(), rel=0.01)
 
@@ -151,7 +151,7 @@ def test_benchmarks_keep_their_errors_and_report_them(name: str) -> None:
     model = MODELS[name]
     points, (unseen_points, truth) = design(model, 128, 1), checked(model)
     fit = fit_chaos(points, model(points), model.germs)
-    error = relative_error(predict(fit, unseen_points), truth)
+    error = relative_error(fit.predict(unseen_points), truth)
     assert error < most
     assert error < 30.0 * max(fit.cross_validation_error, 1e-24)
 
@@ -198,7 +198,7 @@ def test_chaospy_has_the_same_values_moments_and_indices(log: bool) -> None:
     made = fit.chaospy()
     assert made.of_logarithm == fit.log == log
     values = made.polynomial(*points.T)
-    truth = np.log(predict(fit, points)) if log else predict(fit, points)
+    truth = np.log(fit.predict(points)) if log else fit.predict(points)
     assert values == pytest.approx(truth, rel=1e-10)
     assert sum(c * p for c, p in zip(made.coefficients, made.expansion, strict=True))(
         *points.T
@@ -235,7 +235,7 @@ def test_forty_inputs_go_over_to_chaospy() -> None:
     )
     made = fit.chaospy()
     x = np.random.default_rng(1).standard_normal((5, 40))
-    assert made.polynomial(*x.T) == pytest.approx(predict(fit, x), rel=1e-12)
+    assert made.polynomial(*x.T) == pytest.approx(fit.predict(x), rel=1e-12)
     assert fit.to_frame().shape == (81, 41)
 
 

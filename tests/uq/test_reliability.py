@@ -17,14 +17,9 @@ from uqsphere.uq.joint import Copula, Tie
 from uqsphere.uq.law import make_law
 from uqsphere.uq.limit_state import (
     LimitState,
-    draw_breaking,
-    failure_of_aim,
     make_union,
     reliability_index,
     residual_correlation,
-    safety_factor,
-    target_met,
-    union_state,
     weighted_quantile,
 )
 from uqsphere.uq.points import sobol_points
@@ -33,7 +28,7 @@ SCATTER = 0.1
 
 
 def exceedance(state: LimitState) -> Estimate:
-    return failure_of_aim(state, "survive")
+    return state.failure_of_aim("survive")
 
 
 def scores(seed: int, n: int, replicates: int = 16, dimension: int = 3) -> np.ndarray:
@@ -75,7 +70,7 @@ def test_intervals_cover_small_probabilities(probability: float, strength_scatte
 def test_both_sides_keep_their_relative_accuracy(side: str) -> None:
     p = 1e-20
     state = lognormal_state(p if side == "survive" else 1.0 - 1e-12, 0.3, seed=1, n=4096)
-    found = failure_of_aim(state, side)
+    found = state.failure_of_aim(side)
     # 1 - 1e-12 itself is rounded to one part in 1e4.
     exact = p if side == "survive" else float(stats.norm.sf(-ndtri(1e-12)))
     assert found.value == pytest.approx(exact, rel=max(4.0 * found.std_error / found.value, 3e-4))
@@ -119,7 +114,7 @@ def test_strength_that_depends_on_the_inputs() -> None:
     sd = math.sqrt(s**2 + d**2 - 2.0 * rho * s * d)
     found = exceedance(state)
     assert found.value == pytest.approx(stats.norm.cdf(-m / sd), abs=4.0 * found.std_error)
-    median = safety_factor(state, 0.05)
+    median = state.safety_factor(0.05)
     assert median.value == pytest.approx(math.exp(m + ndtri(0.05) * sd), abs=4.0 * median.std_error)
     comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, tie=tied(1.0 - 1e-9, z))
     # Now S/D = exp(m + (s - d) z): exceeded where z < -m/(s - d).
@@ -147,7 +142,7 @@ def test_failed_rows_count_on_both_sides_or_not_at_all() -> None:
     assert bound.low < dropped.value * (1.0 - share)
     assert bound.high > dropped.value * (1.0 - share) + share
     for aim in ("survive", "break"):
-        one = failure_of_aim(LimitState(demands=spoiled, strength=2.0, on_failure="bound"), aim)
+        one = LimitState(demands=spoiled, strength=2.0, on_failure="bound").failure_of_aim(aim)
         assert one.low <= one.value <= one.high
     # Failures where nothing else fails are no survival.
     safe = LimitState(demands=np.where(failed, math.nan, 1.0), strength=2.0, on_failure="bound")
@@ -166,9 +161,7 @@ def test_censored_demands_may_exceed_any_strength() -> None:
     above = exceedance(LimitState(demands=recorded, strength=2.0, censored=censored))
     assert above.low <= math.exp(-2.0) <= above.high
     assert above.high > math.exp(-1.0) * 0.95
-    breaking = failure_of_aim(
-        LimitState(demands=recorded, strength=2.0, censored=censored), "break"
-    )
+    breaking = LimitState(demands=recorded, strength=2.0, censored=censored).failure_of_aim("break")
     assert breaking.low <= 1.0 - math.exp(-2.0) <= breaking.high
     assert "censored" in above.method
 
@@ -182,7 +175,7 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
             float(stats.norm.cdf(-place / total)), strength_scatter, seed, n=512
         )
         for p in (0.05, 0.5, 0.95):
-            found, exact = safety_factor(state, p), math.exp(place + ndtri(p) * total)
+            found, exact = state.safety_factor(p), math.exp(place + ndtri(p) * total)
             assert found.value == pytest.approx(exact, abs=5.0 * found.std_error)
             hits += found.low <= exact <= found.high
     assert hits >= 29  # of 36: four standard deviations below 95 %
@@ -191,16 +184,16 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
 def test_margins_that_have_no_meaning_are_absent() -> None:
     demands = np.abs(np.random.default_rng(1).standard_normal((8, 256)))
     for strength in (0.0, make_law("normal", {"mean": 1.0, "sd": 1.0})):
-        assert "zero" in safety_factor(LimitState(demands=demands, strength=strength)).reason
+        assert "zero" in LimitState(demands=demands, strength=strength).safety_factor().reason
     weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
     # the end of the median's interval is looked for where there are too few positive demands, and
     # far out
     halves = np.where(np.arange(8) < np.where(np.arange(16)[:, None] % 2 == 0, 3, 6), 1e300, -1e300)
-    assert "samples" in safety_factor(LimitState(demands=halves, strength=weibull)).reason
-    assert "unbounded" in safety_factor(LimitState(demands=0.0 * demands, strength=weibull)).reason
+    assert "samples" in LimitState(demands=halves, strength=weibull).safety_factor().reason
+    assert "unbounded" in LimitState(demands=0.0 * demands, strength=weibull).safety_factor().reason
     censored = demands > 0.5
     late = LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored)
-    assert "censored" in safety_factor(late, 0.05).reason
+    assert "censored" in late.safety_factor(0.05).reason
 
 
 def test_reliability_index_and_target() -> None:
@@ -210,10 +203,10 @@ def test_reliability_index_and_target() -> None:
     def interval(low: float, high: float) -> Estimate:
         return Estimate(value=low, low=low, high=high, std_error=0.0, method="m", evaluations=1)
 
-    assert target_met(interval(1e-3, 5e-3), 1e-2) is True
-    assert target_met(interval(2e-2, 5e-2), 1e-2) is False
-    assert target_met(interval(5e-3, 5e-2), 1e-2) is None
-    assert target_met(absent("why", "m", 1), 1e-2) is None
+    assert interval(1e-3, 5e-3).meets(1e-2) is True
+    assert interval(2e-2, 5e-2).meets(1e-2) is False
+    assert interval(5e-3, 5e-2).meets(1e-2) is None
+    assert absent("why", "m", 1).meets(1e-2) is None
 
 
 # --- several limits at once: the union in closed form, dependent strengths, and what is drawn where
@@ -244,7 +237,7 @@ def test_independent_strengths_give_the_product_with_all_its_digits(
         [constant(d) for d in demands], np.eye(len(demands)), np.random.default_rng(0)
     )
     expected = -np.expm1(np.log1p(-ndtr(np.array(demands))).sum())
-    assert exceedance(union_state(union)).value == pytest.approx(expected, rel=1e-9, abs=0.0)
+    assert exceedance(union.state).value == pytest.approx(expected, rel=1e-9, abs=0.0)
 
 
 def test_shared_demand_against_numerical_integration() -> None:
@@ -260,9 +253,7 @@ def test_shared_demand_against_numerical_integration() -> None:
     x = np.asarray(ndtri(uniforms))[:, :, 0]
     first = LimitState(demands=x - 1.0, strength=STANDARD)
     second = LimitState(demands=0.5 * x - 1.5, strength=STANDARD)
-    found = exceedance(
-        union_state(make_union([first, second], np.eye(2), np.random.default_rng(0)))
-    )
+    found = exceedance(make_union([first, second], np.eye(2), np.random.default_rng(0)).state)
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     held = ndtr(-(nodes - 1.0)) * ndtr(-(0.5 * nodes - 1.5))
     exact = 1.0 - float(weights @ held) / np.sqrt(2.0 * np.pi)
@@ -275,7 +266,7 @@ def test_dependent_strengths_against_owen(rho: float) -> None:
     h, k = -0.8, -1.2
     factor = residual_correlation(np.array([[1.0, rho], [rho, 1.0]]))
     found = exceedance(
-        union_state(make_union([constant(h), constant(k)], factor, np.random.default_rng(5)))
+        make_union([constant(h), constant(k)], factor, np.random.default_rng(5)).state
     )
     exact = 1.0 - two_normals(-h, -k, rho)
     assert abs(found.value - exact) < 4.0 * found.std_error
@@ -286,7 +277,7 @@ def test_dependent_strengths_against_owen(rho: float) -> None:
 def test_one_strength_for_two_limits_breaks_at_the_larger_demand() -> None:
     factor = residual_correlation(np.ones((2, 2)))
     found = exceedance(
-        union_state(make_union([constant(-0.5), constant(-1.5)], factor, np.random.default_rng(5)))
+        make_union([constant(-0.5), constant(-1.5)], factor, np.random.default_rng(5)).state
     )
     assert found.value == pytest.approx(ndtr(-0.5), rel=2e-3)
 
@@ -295,7 +286,7 @@ def test_samples_without_an_answer_widen_the_interval() -> None:
     failed = np.zeros((R, N), dtype=bool)
     failed[:, 0] = True
     states = [constant(-1.0, failed=failed, on_failure="bound"), constant(-1.0, on_failure="bound")]
-    found = exceedance(union_state(make_union(states, np.eye(2), np.random.default_rng(0))))
+    found = exceedance(make_union(states, np.eye(2), np.random.default_rng(0)).state)
     p = 1.0 - ndtr(1.0) ** 2
     assert found.low <= p * (1.0 - 1.0 / N) * (1.0 + 1e-9)
     assert found.high >= p * (1.0 - 1.0 / N) + 1.0 / N - 1e-9
@@ -307,7 +298,7 @@ def test_samples_without_an_answer_widen_the_interval() -> None:
 def test_drawn_strengths_follow_their_law_given_a_fracture() -> None:
     h, k = -0.6, -0.9
     union = make_union([constant(h), constant(k)], np.eye(2), np.random.default_rng(2))
-    drawn = draw_breaking(union, 200, np.random.default_rng(3))
+    drawn = union.draw_breaking(200, np.random.default_rng(3))
     assert (drawn.shares < 1.0).any(axis=0).all()
     p, q = ndtr(h), ndtr(k)
     any_one = p + q - p * q
@@ -328,7 +319,7 @@ def test_shares_below_one_are_uniform_in_the_strength(rho: float) -> None:
     states = [LimitState(demands=np.full((R, N), demand), strength=law) for _ in range(2)]
     factor = residual_correlation(np.array([[1.0, rho], [rho, 1.0]]))
     union = make_union(states, factor, np.random.default_rng(2))
-    drawn = draw_breaking(union, 200, np.random.default_rng(3))
+    drawn = union.draw_breaking(200, np.random.default_rng(3))
     for one in drawn.shares:
         broken = one[one < 1.0]
         assert abs(broken.mean() - 0.5) < 4.0 / np.sqrt(12.0 * broken.size)

@@ -30,7 +30,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Values, bundle, special
 from uqsphere.uq import Estimate, Sample, from_replicates
 from uqsphere.uq.chaos.basis import germ_points, rows_of
-from uqsphere.uq.chaos.expansion import Chaos, predict
+from uqsphere.uq.chaos.expansion import Chaos
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import ratio_of_means, spread, student
@@ -118,7 +118,7 @@ def expansions(
         if earlier is not None and (earlier.rows == rows or earlier.left < GOOD):
             fit = earlier.fit
             rows = earlier.rows
-            values = predict(fit, points[1:])
+            values = fit.predict(points[1:])
             left = _left(outputs, values)
         else:
             fit, values, left = _fitted(design, points, outputs, rows)
@@ -148,7 +148,7 @@ def _fitted(design: Design, points: Array, outputs: Array, rows: int) -> tuple[C
     tried = []
     for plain in (True, False):
         fit = fit_chaos(points[0, :rows], outputs[0, :rows], design.germs, plain=plain)
-        values = predict(fit, points[1:])
+        values = fit.predict(points[1:])
         tried.append((fit, values, _left(outputs, values)))
         if tried[0][2] <= GOOD or design.study.analysis.second_order:
             break
@@ -213,7 +213,7 @@ def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
             # beyond the last row, at it, and as far before it
             places = np.tile(rows, (3, 1, 1))
             places[:, :, j] = np.broadcast_arrays(free, last, 2.0 * last - free)
-            beyond, at_last, before = predict(fit, germ_points(places, fit.germs))
+            beyond, at_last, before = fit.predict(germ_points(places, fit.germs))
             made = np.abs((beyond - moments.mean) ** 2 - (at_last - moments.mean) ** 2).mean()
             error = (np.take_along_axis(residuals, outermost, 1) ** 2).mean()
             with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
@@ -241,7 +241,7 @@ def points_of(design: Design, normals: Array) -> Array:
 
 def values_at(design: Design, expansion: Expansion, normals: Array) -> Array:
     """Values of an expansion at independent normals (..., D)."""
-    return predict(expansion.fit, points_of(design, normals))
+    return expansion.fit.predict(points_of(design, normals))
 
 
 # --- Sobol' indices -------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, Study
-from uqsphere.uq import Estimate, Sample, tails
+from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 from uqsphere.uq.estimate import REPLICATES, carriers
@@ -96,7 +96,7 @@ def _along(
     carrying = []
     for value, sample in line.items():
         state = state_of(design, limit, sample)
-        exceeded, held = tails(state, demand_factor(design.study.margins, limit, value))
+        exceeded, held = state.tails(demand_factor(design.study.margins, limit, value))
         carrying.append(min(carriers(exceeded), carriers(held)))
         means.append(exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1))
     return np.array(means), carrying

@@ -15,26 +15,12 @@ from uqsphere.arrays import Array, special
 from uqsphere.models.scene import fractures_of
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, limit_of, strength_name
-from uqsphere.uq import (
-    Estimate,
-    Law,
-    LimitState,
-    Sample,
-    complement,
-    exact,
-    failure_of_aim,
-    from_replicates,
-    score_of,
-)
+from uqsphere.uq import Estimate, Law, LimitState, Sample, exact, from_replicates, score_of
 from uqsphere.uq.estimate import count_bound, share
 from uqsphere.uq.limit_state import (
-    draw_breaking,
     make_union,
     reliability_index,
     residual_correlation,
-    safety_factor,
-    tails,
-    union_state,
     weighted_quantile,
 )
 
@@ -57,14 +43,14 @@ def limits(tables: Tables) -> Rows:
         if limit.name in tables.rare:
             runs += tables.rare[limit.name].estimate.evaluations
         if limit.aim != "survive":
-            exceeded = complement(failed)
+            exceeded = failed.complement()
         yield estimate_row(subject, "exceedance_probability", "", exceeded, runs=runs)
         yield estimate_row(subject, "failure_probability", "", failed, runs=runs)
         index, high, low = map(reliability_index, (failed.value, *failed.outer))
         if index is not None:
             origin = {"method": failed.method, "runs": runs}
             yield number_row(subject, "reliability_index", "", index, low, high, **origin)
-        ratio = safety_factor(state_of(design, limit, tables.sample))
+        ratio = state_of(design, limit, tables.sample).safety_factor()
         yield estimate_row(subject, "safety_factor", "strength over demand", ratio, runs=runs)
 
 
@@ -72,7 +58,7 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
     column = column_of(limit)
-    sampled = failure_of_aim(state_of(design, limit, tables.sample), limit.aim)
+    sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
     if limit.name in tables.rare:
         return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
     constant = not design.drawn.names and tables.sample.knows(column)
@@ -107,7 +93,7 @@ def _searched(searched: Estimate, sampled: Estimate, rows: int) -> Estimate:
 
 def failure_given_inputs(state: LimitState, limit: Limit) -> np.ndarray:
     """Probability (R, n) that a limit misses its aim given the inputs."""
-    below, above = tails(state)
+    below, above = state.tails()
     return above if limit.aim == "break" else below
 
 
@@ -216,9 +202,9 @@ def fracture(tables: Tables) -> Rows:
         common_factor(design, limits),
         generator,
     )
-    exceeded = failure_of_aim(union_state(union), "survive")
+    exceeded = union.state.failure_of_aim("survive")
     yield estimate_row("fracture", "exceedance_probability", "", exceeded, runs=tables.runs)
-    drawn = draw_breaking(union, SPECIMENS, generator)
+    drawn = union.draw_breaking(SPECIMENS, generator)
     if drawn is None:
         return
     shape = drawn.rows.shape

@@ -18,7 +18,7 @@ from uqsphere.errors import StudyError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
-from uqsphere.uq import LimitState, Sample, tails
+from uqsphere.uq import LimitState, Sample
 
 from .design import Design
 from .free_number import demand_factor, grid, moved
@@ -133,7 +133,7 @@ def exceedance(state: LimitState, aim: str) -> Array:
     lost = math.nan
     if state.on_failure == "bound":
         lost = float(unsafe)
-    below = np.where(state.late & unsafe, 1.0, tails(state)[0])
+    below = np.where(state.late & unsafe, 1.0, state.tails()[0])
     return np.where(state.broken, lost, below)
 
 

@@ -20,7 +20,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of, tails
+from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of
 from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
@@ -174,7 +174,7 @@ def _problem(
 
     def left(state: LimitState) -> Array:
         if isinstance(state.strength, Law):
-            margin = -sign * np.clip(score_of(*tails(state)), -CERTAIN, CERTAIN)
+            margin = -sign * np.clip(score_of(*state.tails()), -CERTAIN, CERTAIN)
         else:
             margin = sign * (state.strength - state.demands) / abs(state.strength or 1.0)
         rows: Array = np.where(state.broken, np.nan, margin)[0]

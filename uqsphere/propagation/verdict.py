@@ -31,7 +31,7 @@ from uqsphere.results.types import (
     VerdictWord,
 )
 from uqsphere.study import Limit, strength_name
-from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates, target_met
+from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates
 from uqsphere.uq.estimate import SURE, spread
 
 from .checks import Check, caveats_of
@@ -420,7 +420,7 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
     for limit in limits:
         doubts = zip(judged.plan.doubts, kept, strict=True)
         its_own = [keeps for doubt, keeps in doubts if doubt.limit.name == limit.name]
-        met = target_met(judged.all_modes[limit.name], limit.target)
+        met = judged.all_modes[limit.name].meets(limit.target)
         if met is False and not any(its_own):
             return "not met"
     return "undecided"
@@ -442,7 +442,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
             return by_margin
     if doubt.code == "computation":
         estimate = judged.all_modes[limit.name]
-        met = target_met(estimate, limit.target)
+        met = estimate.meets(limit.target)
         # a count of none that leaves more possible than the target says nothing against the margin
         silent = met is None and margin is not None and not estimate.value
         return by_margin and (met is True or silent)
@@ -520,7 +520,7 @@ def _disagreeing(judged: Judged) -> Doubt:
     doubts = judged.plan.doubts
     computed = doubts[0]
     limit = computed.limit
-    met = target_met(judged.all_modes[limit.name], limit.target)
+    met = judged.all_modes[limit.name].meets(limit.target)
     others = [doubt for doubt in doubts if _keeps(judged, doubt) != met]
     if met is None or not others:
         return computed

@@ -20,7 +20,7 @@ from .estimate import ENDS, LEVEL_TEXT, Estimate, absent, exact, from_replicates
 from .forms import LawError
 from .joint import Dependence, Joint, make_joint
 from .law import Law, discrete_law, make_law
-from .limit_state import LimitState, complement, failure_of_aim, score_of, tails, target_met
+from .limit_state import LimitState, score_of
 from .points import random_generator, sobol_points
 from .sample import Sample
 
@@ -35,10 +35,8 @@ __all__ = [
     "LimitState",
     "Sample",
     "absent",
-    "complement",
     "discrete_law",
     "exact",
-    "failure_of_aim",
     "from_replicates",
     "make_joint",
     "make_law",
@@ -46,6 +44,4 @@ __all__ = [
     "score_of",
     "sobol_points",
     "student",
-    "tails",
-    "target_met",
 ]

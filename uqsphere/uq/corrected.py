@@ -32,7 +32,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Pair, Values, bundle
 
-from .chaos.expansion import projections
 from .describe import Description, heavy_tail, rising
 from .estimate import (
     Estimate,
@@ -346,7 +345,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         shares[place] = moments.shares
         rounding = max(rounding, moments.error)
         residual[there] = response.residuals[there] / unit
-        parts = projections(response.folds[k].fit, response.points[there]) / unit
+        parts = response.folds[k].fit.projections(response.points[there]) / unit
         top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
         level = (response.levels[there] - moments.mean) / unit
         bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2

@@ -96,6 +96,36 @@ class Estimate:
         ends = [end for end in (self.low, self.high, other.low, other.high) if end is not None]
         return self.spanning(min(ends), max(ends))
 
+    def complement(self) -> Estimate:
+        """The probability of the opposite; what is not known is bounded the other way round."""
+
+        def of(p: float | None) -> float | None:
+            return None if p is None else 1.0 - p
+
+        return replace(
+            self,
+            value=of(self.value),
+            low=of(self.high),
+            high=of(self.low),
+            low_unseen=of(self.high_unseen),
+            high_unseen=of(self.low_unseen),
+            reason=self.reason and f"of the opposite: {self.reason}",
+        )
+
+    def meets(self, target: float) -> bool | None:
+        """True if the interval lies below the target, False if above, None (undecided) if it
+        straddles.
+
+        An upper end is enough, for an answer without a value too.  The interval is the one that
+        also allows for what the runs do not show.
+        """
+        low, high = self.outer
+        if high is not None and high < target:
+            return True
+        if low is not None and low > target:
+            return False
+        return None
+
 
 def exact(value: float) -> Estimate:
     """A number without uncertainty: the answer of a scene in which nothing is random."""

@@ -63,29 +63,124 @@ class LimitState:
         """Rows whose demand is only a lower bound (R, n)."""
         return ~self.broken & self.censored
 
+    def tails(self, factor: float = 1.0) -> Tails:
+        """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold
+        0 and 0.
+        """
+        strength = self.strength
+        broken = self.broken
+        demands = np.where(broken, 0.0, self.demands) * factor
+        if not isinstance(strength, Law):
+            below = np.where(demands > strength, 1.0, 0.0)
+            above = 1.0 - below
+        elif strength.is_steps:
+            # P(S < d): an observation that equals the demand has not been exceeded.
+            below, above = strength.tails(np.nextafter(demands, -math.inf))
+        else:
+            below, above = strength.tails(demands)
+        if self.tie.columns:
+            below, above = GAUSS.tails(self.tie.conditional_score(score_of(below, above)))
+        return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
+
+    def failure_of_aim(self, aim: str) -> Estimate:
+        """Probability that the aim is missed: that the demand exceeds the strength for "survive",
+        of its complement for "break".
+
+        >>> law = make_law("uniform", {}, 0.0, 1.0)
+        >>> demands = np.full((4, 8), 0.25)
+        >>> LimitState(demands=demands, strength=law).failure_of_aim("survive").value
+        0.25
+        """
+        below, above = self.tails()
+        broken, late, (replicates, n) = self.broken, self.late, self.demands.shape
+        kept = (~broken).sum(axis=1)
+        if kept.min() < 2:
+            return absent("too few successful samples in a replicate", self.method, broken.size)
+        cell = 0.0 if isinstance(self.strength, Law) else 1.0 / n  # of what is counted
+        event, other = (above, below) if aim == "break" else (below, above)
+        value, low, high, error = _interval(event, other, kept, cell)
+        method = self.method
+        lost = broken & (self.on_failure == "bound")
+        if lost.any() or late.any():
+            # Censored demands may exceed any strength; failed rows may have gone either way.
+            counts = kept + lost.sum(axis=1)
+            unsure = late | lost
+            # exceedance and its complement, where as little as possible exceeds, and as much
+            least = below, above + lost
+            most = np.where(unsure, 1.0, below), np.where(unsure, 0.0, above)
+            if aim == "break":
+                least, most = most[::-1], least[::-1]
+            low = _interval(*least, counts, cell)[1]
+            high = _interval(*most, counts, cell)[2]
+            error = max(error, 0.5 * (high - low) / student(replicates))
+            method += f", interval widened for {late.sum()} censored and {lost.sum()} failed rows"
+        largest = event.max() / (event.sum() or 1.0)
+        if largest > 0.2:
+            method += f", one sample carries {100.0 * largest:.0f} %"
+        return bounded(value, low, high, error, method, broken.size)
+
+    def safety_factor(self, p: float = 0.5) -> Estimate:
+        """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is
+        read off where the replicates' probabilities could lie.
+
+        Absent where the strength or the demand may be zero or negative.
+        """
+        strength = self.strength
+        broken = self.broken
+        late = self.late
+        total = self.demands.size
+        counts = (~broken).sum(axis=1)
+        method = self.method
+        zero = "the demand may be zero: the margin is unbounded"
+        doubtful = strength.cdf(0.0) if isinstance(strength, Law) else strength <= 0.0
+        if doubtful > 1e-6:
+            return absent(
+                "the strength may be zero or negative: strength over demand has no meaning",
+                method,
+                total,
+            )
+        if counts.min() < 2:
+            return absent("too few successful samples in a replicate", method, total)
+        if not isinstance(strength, Law):
+            # that of a fixed strength is the strength over the demand's quantile at 1 - p
+            d = quantile_estimates(
+                np.where(broken, 0.0, self.demands),
+                censored=late,
+                failed=broken,
+                on_failure=self.on_failure,
+                quantiles=[1.0 - p],
+                method="randomised quasi-Monte Carlo",
+            )[1.0 - p]
+            if d.value is None or d.low is None or d.high is None:
+                return d
+            if d.low <= 0.0:
+                return absent(zero, d.method, total)
+            value, low, high = (strength / demand for demand in (d.value, d.high, d.low))
+            return between(value, low, high, counts.size, d.method, total)
+        positive = self.demands[~broken & (self.demands > 0.0)]
+        if positive.size <= p * counts.sum():
+            return absent(zero, method, total)
+
+        @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
+        def pooled(margin: float) -> float:
+            return float(self.tails(margin)[0].sum() / counts.sum())
+
+        margin = _root(pooled, p, float(strength.ppf(p) / np.median(positive)))
+        if margin is None:
+            return absent("no margin has this probability", method, total)
+        unsure = late.sum() / counts.sum()
+        lost = broken.mean() * (self.on_failure == "bound")
+        error = spread(self.tails(margin)[0].sum(axis=1) / counts)
+        lowest, highest, _ = probability_ends(p, 1.0 - p, error, counts.size, total)
+        least = _root(pooled, lowest - unsure - lost, margin)
+        most = _root(pooled, highest + lost, margin)
+        if least is None or most is None:
+            return absent("beyond the censored share, or what the samples can show", method, total)
+        return between(margin, least, most, counts.size, method, total)
+
 
 #: normal score of a probability that is given with its complement, through the smaller of the two
 score_of = GAUSS.quantile
-
-
-def tails(state: LimitState, factor: float = 1.0) -> Tails:
-    """P(strength < factor · demand | inputs) and its complement, (R, n) each; broken rows hold 0
-    and 0.
-    """
-    strength = state.strength
-    broken = state.broken
-    demands = np.where(broken, 0.0, state.demands) * factor
-    if not isinstance(strength, Law):
-        below = np.where(demands > strength, 1.0, 0.0)
-        above = 1.0 - below
-    elif strength.is_steps:
-        # P(S < d): an observation that equals the demand has not been exceeded.
-        below, above = strength.tails(np.nextafter(demands, -math.inf))
-    else:
-        below, above = strength.tails(demands)
-    if state.tie.columns:
-        below, above = GAUSS.tails(state.tie.conditional_score(score_of(below, above)))
-    return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
 
 
 def _interval(
@@ -103,143 +198,11 @@ def _interval(
     return p / (p + q), *probability_ends(p, q, spread(rows, cell), rows.size, size)
 
 
-def failure_of_aim(state: LimitState, aim: str) -> Estimate:
-    """Probability that the aim is missed: that the demand exceeds the strength for "survive", of
-    its complement for "break".
-
-    >>> law = make_law("uniform", {}, 0.0, 1.0)
-    >>> demands = np.full((4, 8), 0.25)
-    >>> failure_of_aim(LimitState(demands=demands, strength=law), "survive").value
-    0.25
-    """
-    below, above = tails(state)
-    broken, late, (replicates, n) = state.broken, state.late, state.demands.shape
-    kept = (~broken).sum(axis=1)
-    if kept.min() < 2:
-        return absent("too few successful samples in a replicate", state.method, broken.size)
-    cell = 0.0 if isinstance(state.strength, Law) else 1.0 / n  # of what is counted
-    event, other = (above, below) if aim == "break" else (below, above)
-    value, low, high, error = _interval(event, other, kept, cell)
-    method = state.method
-    lost = broken & (state.on_failure == "bound")
-    if lost.any() or late.any():
-        # Censored demands may exceed any strength; failed rows may have gone either way.
-        counts = kept + lost.sum(axis=1)
-        unsure = late | lost
-        # exceedance and its complement, where as little as possible exceeds, and as much
-        least = below, above + lost
-        most = np.where(unsure, 1.0, below), np.where(unsure, 0.0, above)
-        if aim == "break":
-            least, most = most[::-1], least[::-1]
-        low = _interval(*least, counts, cell)[1]
-        high = _interval(*most, counts, cell)[2]
-        error = max(error, 0.5 * (high - low) / student(replicates))
-        method += f", interval widened for {late.sum()} censored and {lost.sum()} failed rows"
-    largest = event.max() / (event.sum() or 1.0)
-    if largest > 0.2:
-        method += f", one sample carries {100.0 * largest:.0f} %"
-    return bounded(value, low, high, error, method, broken.size)
-
-
 def reliability_index(probability: float | None) -> float | None:
     """-Φ⁻¹(probability) of missing the aim; None for 0, 1 and an absent probability."""
     if probability is None or not 0.0 < probability < 1.0:
         return None
     return -float(special.ndtri(probability))
-
-
-def complement(e: Estimate) -> Estimate:
-    """The probability of the opposite; what is not known is bounded the other way round."""
-
-    def of(p: float | None) -> float | None:
-        return None if p is None else 1.0 - p
-
-    return replace(
-        e,
-        value=of(e.value),
-        low=of(e.high),
-        high=of(e.low),
-        low_unseen=of(e.high_unseen),
-        high_unseen=of(e.low_unseen),
-        reason=e.reason and f"of the opposite: {e.reason}",
-    )
-
-
-def target_met(missed: Estimate, target: float) -> bool | None:
-    """True if the interval lies below the target, False if above, None (undecided) if it straddles.
-
-    An upper end is enough, for an answer without a value too.  The interval is the one that also
-    allows for what the runs do not show.
-    """
-    low, high = missed.outer
-    if high is not None and high < target:
-        return True
-    if low is not None and low > target:
-        return False
-    return None
-
-
-# --- safety factor --------------------------------------------------------------------------------
-
-
-def safety_factor(state: LimitState, p: float = 0.5) -> Estimate:
-    """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is read
-    off where the replicates' probabilities could lie.
-
-    Absent where the strength or the demand may be zero or negative.
-    """
-    strength = state.strength
-    broken = state.broken
-    late = state.late
-    total = state.demands.size
-    counts = (~broken).sum(axis=1)
-    method = state.method
-    zero = "the demand may be zero: the margin is unbounded"
-    doubtful = strength.cdf(0.0) if isinstance(strength, Law) else strength <= 0.0
-    if doubtful > 1e-6:
-        return absent(
-            "the strength may be zero or negative: strength over demand has no meaning",
-            method,
-            total,
-        )
-    if counts.min() < 2:
-        return absent("too few successful samples in a replicate", method, total)
-    if not isinstance(strength, Law):
-        # that of a fixed strength is the strength over the demand's quantile at 1 - p
-        d = quantile_estimates(
-            np.where(broken, 0.0, state.demands),
-            censored=late,
-            failed=broken,
-            on_failure=state.on_failure,
-            quantiles=[1.0 - p],
-            method="randomised quasi-Monte Carlo",
-        )[1.0 - p]
-        if d.value is None or d.low is None or d.high is None:
-            return d
-        if d.low <= 0.0:
-            return absent(zero, d.method, total)
-        value, low, high = (strength / demand for demand in (d.value, d.high, d.low))
-        return between(value, low, high, counts.size, d.method, total)
-    positive = state.demands[~broken & (state.demands > 0.0)]
-    if positive.size <= p * counts.sum():
-        return absent(zero, method, total)
-
-    @np.errstate(over="ignore")  # a demand beyond all numbers exceeds
-    def pooled(margin: float) -> float:
-        return float(tails(state, margin)[0].sum() / counts.sum())
-
-    margin = _root(pooled, p, float(strength.ppf(p) / np.median(positive)))
-    if margin is None:
-        return absent("no margin has this probability", method, total)
-    unsure = late.sum() / counts.sum()
-    lost = broken.mean() * (state.on_failure == "bound")
-    error = spread(tails(state, margin)[0].sum(axis=1) / counts)
-    lowest, highest, _ = probability_ends(p, 1.0 - p, error, counts.size, total)
-    least = _root(pooled, lowest - unsure - lost, margin)
-    most = _root(pooled, highest + lost, margin)
-    if least is None or most is None:
-        return absent("beyond the censored share, or what the samples can show", method, total)
-    return between(margin, least, most, counts.size, method, total)
 
 
 def _root(
@@ -281,6 +244,19 @@ def _root(
 
 
 @bundle
+class Breaking:
+    """m samples of each replicate in which a limit is exceeded, drawn with their strengths.
+
+    `rows` (R, m): which samples; `shares` (L, R, m): strength over demand, below 1 where exceeded;
+    `weights` (R,): what a replicate's samples stand for, mean 1.
+    """
+
+    rows: Places
+    shares: Array
+    weights: Array
+
+
+@bundle
 class Union:
     """L limits at the same (R, n) samples.
 
@@ -298,6 +274,65 @@ class Union:
     broken: Flags
     any: Array
     none: Array
+
+    @property
+    def state(self) -> LimitState:
+        """The union as one limit, so that all that serves a limit serves it: a score against a
+        standard normal.
+
+        Without any random strength it is counted: something over a strength of 1, or below it.
+        """
+        counted = LimitState(
+            demands=np.where(self.any > 0.5, 2.0, 0.5),
+            strength=1.0,
+            failed=self.broken,
+            on_failure=self.states[0].on_failure,
+        )
+        if not any(isinstance(state.strength, Law) for state in self.states):
+            return counted
+        return replace(
+            counted,
+            demands=np.clip(score_of(self.any, self.none), -CERTAIN, CERTAIN),
+            strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
+            method="randomised quasi-Monte Carlo, strengths integrated",
+        )
+
+    def draw_breaking(self, count: int, rng: Generator) -> Breaking | None:
+        """Samples and strengths from their joint law given that a limit is exceeded; None where
+        none can be.
+        """
+        mass = self.any.mean(axis=1)
+        if not self.any.any():
+            return None
+        size, (replicates, n) = len(self.states), self.any.shape
+        chances = np.where(mass[:, None] > 0.0, self.any, 1.0)
+        rows = np.stack([rng.choice(n, count, p=row / row.sum()) for row in chances])
+        pick = np.arange(replicates)[:, None], rows
+        failing = self.failure_given_inputs[:, *pick]
+        normals = self.holding[:, *pick]
+        # which limit, in the order of the list, is the first not to hold
+        held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - failing]), axis=0)
+        course = np.cumsum(held[:-1] * failing, axis=0)
+        first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
+        for j in range(size):
+            lower = _drawn_below(failing[j], rng)
+            free = rng.standard_normal(rows.shape)
+            normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
+        scores = np.tensordot(self.factor, normals, axes=1)
+        shares = np.empty_like(scores)
+        for j, state in enumerate(self.states):
+            strengths: Any = state.strength
+            demands = state.demands[pick]
+            if isinstance(strengths, Law):
+                score = scores[j]
+                if state.tie.columns:
+                    score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
+                strengths = strengths.from_normal(score)
+            share = np.where(strengths < demands, 0.0, np.inf)
+            np.divide(strengths, demands, out=share, where=demands > 0.0)
+            # rounding must not let the limit that has been drawn as exceeded hold
+            shares[j] = np.where(first == j, np.minimum(share, 1.0 - 1e-12), share)
+        return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
 
 
 def residual_correlation(covariance: Array) -> Array:
@@ -325,7 +360,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: Generator) -> U
     failure_given_inputs = np.zeros(shape)
     holding = np.zeros(shape)
     for j, state in enumerate(states):
-        below, above = tails(state)
+        below, above = state.tails()
         if np.any(factor[j, :j]):
             centre = np.tensordot(factor[j, :j], holding[:j], axes=1)
             below, above = GAUSS.tails((score_of(below, above) - centre) / factor[j, j])
@@ -350,80 +385,7 @@ def _drawn_below(share: Array, rng: Generator) -> Array:
     return np.clip(special.ndtri(rng.random(share.shape) * share), -CERTAIN, CERTAIN)
 
 
-def union_state(union: Union) -> LimitState:
-    """The union as one limit, so that all that serves a limit serves it: a score against a standard
-    normal.
-
-    Without any random strength it is counted: something over a strength of 1, or below it.
-    """
-    counted = LimitState(
-        demands=np.where(union.any > 0.5, 2.0, 0.5),
-        strength=1.0,
-        failed=union.broken,
-        on_failure=union.states[0].on_failure,
-    )
-    if not any(isinstance(state.strength, Law) for state in union.states):
-        return counted
-    return replace(
-        counted,
-        demands=np.clip(score_of(union.any, union.none), -CERTAIN, CERTAIN),
-        strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
-        method="randomised quasi-Monte Carlo, strengths integrated",
-    )
-
-
 # --- samples in which something breaks ------------------------------------------------------------
-
-
-@bundle
-class Breaking:
-    """m samples of each replicate in which a limit is exceeded, drawn with their strengths.
-
-    `rows` (R, m): which samples; `shares` (L, R, m): strength over demand, below 1 where exceeded;
-    `weights` (R,): what a replicate's samples stand for, mean 1.
-    """
-
-    rows: Places
-    shares: Array
-    weights: Array
-
-
-def draw_breaking(union: Union, count: int, rng: Generator) -> Breaking | None:
-    """Samples and strengths from their joint law given that a limit is exceeded; None where none
-    can be.
-    """
-    mass = union.any.mean(axis=1)
-    if not union.any.any():
-        return None
-    size, (replicates, n) = len(union.states), union.any.shape
-    chances = np.where(mass[:, None] > 0.0, union.any, 1.0)
-    rows = np.stack([rng.choice(n, count, p=row / row.sum()) for row in chances])
-    pick = np.arange(replicates)[:, None], rows
-    failing = union.failure_given_inputs[:, *pick]
-    normals = union.holding[:, *pick]
-    # which limit, in the order of the list, is the first not to hold
-    held = np.cumprod(np.concatenate([np.ones((1, *rows.shape)), 1.0 - failing]), axis=0)
-    course = np.cumsum(held[:-1] * failing, axis=0)
-    first = np.minimum((course <= rng.random(rows.shape) * course[-1]).sum(axis=0), size - 1)
-    for j in range(size):
-        lower = _drawn_below(failing[j], rng)
-        free = rng.standard_normal(rows.shape)
-        normals[j] = np.where(first == j, lower, np.where(first < j, free, normals[j]))
-    scores = np.tensordot(union.factor, normals, axes=1)
-    shares = np.empty_like(scores)
-    for j, state in enumerate(union.states):
-        strengths: Any = state.strength
-        demands = state.demands[pick]
-        if isinstance(strengths, Law):
-            score = scores[j]
-            if state.tie.columns:
-                score = replace(state.tie, scores=state.tie.scores[pick]).score_at(score)
-            strengths = strengths.from_normal(score)
-        share = np.where(strengths < demands, 0.0, np.inf)
-        np.divide(strengths, demands, out=share, where=demands > 0.0)
-        # rounding must not let the limit that has been drawn as exceeded hold
-        shares[j] = np.where(first == j, np.minimum(share, 1.0 - 1e-12), share)
-    return Breaking(rows=rows, shares=shares, weights=mass / mass.mean())
 
 
 def weighted_quantile(

@@ -26,7 +26,7 @@ import numpy as np
 from uqsphere.arrays import Array, Places, bundle
 
 from .chaos.basis import Germs, score_of
-from .chaos.expansion import Chaos, Integrals, law_points, predict
+from .chaos.expansion import Chaos, Integrals, law_points
 from .chaos.fit import constant_fit, fit_chaos, folds_of
 from .estimate import count_bound, distances, mean_and_sd, student
 
@@ -73,7 +73,7 @@ class Fold:
         """Values (...) at germ points (..., d)."""
         if self.reach:
             points = np.clip(points, *self.reach)
-        return predict(self.fit, points)
+        return self.fit.predict(points)
 
 
 @bundle
@@ -217,7 +217,7 @@ def _fitted(points: Array, y: Array, germs: Germs, plain: bool) -> Response:
         left_out = fold == k
         fit = fit_chaos(points[~left_out], y[~left_out], germs, plain=plain)
         folds.append(Fold(fit=fit))
-        levels[left_out] = predict(fit, points[left_out])
+        levels[left_out] = fit.predict(points[left_out])
     return Response(
         folds=tuple(folds),
         fold=fold,

@@ -23,7 +23,6 @@ import numpy as np
 from uqsphere.arrays import Array, special
 
 from .chaos.basis import germ_points
-from .chaos.expansion import predict
 from .estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
 from .forms import Function
 from .indices import LARGE
@@ -87,7 +86,7 @@ def dependent_shares(response: Response, joint: Joint) -> dict[str, list[Estimat
     def function(scores: Array) -> Array:
         parts = np.split(germ_points(scores, response.germs), REPLICATES)
         fits = cycle(fold.fit for fold in response.folds)
-        return np.array([predict(fit, part) for fit, part in zip(fits, parts, strict=False)])
+        return np.array([fit.predict(part) for fit, part in zip(fits, parts, strict=False)])
 
     def answer(effect: Array) -> Estimate:
         value = float(effect[0])

@@ -27,7 +27,7 @@ from uqsphere.arrays import Array, Flags, Names, Pair, bundle, is_labelled
 from uqsphere.errors import UsageError
 
 from .chaos.basis import MOST_STEPS, Germ, Germs, germ_points, germs_of, rows_of, values_of
-from .chaos.expansion import Chaos, ChaospyObjects, predict
+from .chaos.expansion import Chaos, ChaospyObjects
 from .chaos.fit import fit_chaos
 from .corrected import indices_of
 from .estimate import LEVEL, Estimate
@@ -263,7 +263,7 @@ class Expansion:
                 "outside = 'nan'"
             )
         points = self._points(x)
-        value = predict(self.fit, points)
+        value = self.fit.predict(points)
         half = np.full(len(x), math.inf)
         inverse, scores = self._scores
         rank = math.ceil(level * (scores.size + 1))
@@ -313,7 +313,7 @@ class Expansion:
 
         rng = random_generator(seed, "expansion")
         x = self.joint.physical(rng.standard_normal((count, len(self.names))))
-        value = predict(self.fit, self._points(x))
+        value = self.fit.predict(self._points(x))
         return DataFrame(x, columns=self.names).assign(output=value)
 
     def quantiles(self, p: "ArrayLike", *, count: int = 1 << 17, seed: int = 0) -> Array:

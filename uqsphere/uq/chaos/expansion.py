@@ -168,7 +168,7 @@ class Chaos:
         points = law_points(self.germs)
         terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
         rows = rows_of(self.germs, points, terms)
-        coefficients: Any = np.linalg.solve(rows @ rows.T, rows @ predict(self, points))
+        coefficients: Any = np.linalg.solve(rows @ rows.T, rows @ self.predict(points))
         return Chaos(
             coefficients=coefficients,
             multi_indices=terms,
@@ -196,7 +196,7 @@ class Chaos:
         """
         d = len(self.germs)
         if self.constant:
-            level = float(predict(self, np.zeros(d)))
+            level = float(self.predict(np.zeros(d)))
             return Integrals(mean=level, sd=0.0, shares=np.zeros((2, d)))
         if self.log and (self.multi_indices > 0).sum(axis=1).max() == 1:
             return _product(self)
@@ -212,7 +212,7 @@ class Chaos:
             return Integrals(mean=mean, sd=unit * math.sqrt(whole), shares=shares / whole)
         points = _pair_points(self.germs)
         # about the mean of the plain form: what the two means differ by is no scatter
-        own, other = ((predict(form, points) - mean) / unit for form in (self, plain))
+        own, other = ((form.predict(points) - mean) / unit for form in (self, plain))
         (tops, variance), (plain_tops, plain_variance) = map(_pair_parts, (own, other))
         middle = (own - other)[:, :, [0, -1]].mean(axis=(1, 2))
         scale = whole + variance - plain_variance - (middle**2)[:, None]
@@ -226,17 +226,24 @@ class Chaos:
             moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
         )
 
+    def predict(self, points: Array) -> Array:
+        """Values (...) of the expansion at germ points (..., d)."""
+        rows = points.reshape(-1, points.shape[-1])
+        parts = np.array_split(rows, len(rows) // BLOCK + 1)
+        values = np.concatenate(
+            [self.coefficients @ rows_of(self.germs, part, self.multi_indices) for part in parts]
+        ).reshape(points.shape[:-1])
+        if self.log:
+            values = self.sign * np.exp(np.clip(values, *self.bounds))
+        return values
 
-def predict(fit: Chaos, points: Array) -> Array:
-    """Values (...) of the expansion at germ points (..., d)."""
-    rows = points.reshape(-1, points.shape[-1])
-    parts = np.array_split(rows, len(rows) // BLOCK + 1)
-    values = np.concatenate(
-        [fit.coefficients @ rows_of(fit.germs, part, fit.multi_indices) for part in parts]
-    ).reshape(points.shape[:-1])
-    if fit.log:
-        values = fit.sign * np.exp(np.clip(values, *fit.bounds))
-    return values
+    def projections(self, points: Array) -> Array:
+        """What the terms of single inputs, and all terms with an input, (2, d, n), say at germ
+        points (n, d).
+        """
+        plain = self.plain_form
+        rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]
+        return plain.parts.swapaxes(1, 2).astype(float) @ rows
 
 
 # --- moments and indices --------------------------------------------------------------------------
@@ -301,12 +308,3 @@ def _product(fit: Chaos) -> Integrals:
         sd=float(sd),
         shares=np.array([more / whole, more / (1.0 + more) * (1.0 + 1.0 / whole)]),
     )
-
-
-def projections(fit: Chaos, points: Array) -> Array:
-    """What the terms of single inputs, and all terms with an input, (2, d, n), say at germ points
-    (n, d).
-    """
-    plain = fit.plain_form
-    rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]
-    return plain.parts.swapaxes(1, 2).astype(float) @ rows

@@ -70,10 +70,9 @@ def fit_chaos(
 
     Raises ValueError for values that are not finite and for shapes that do not go together.
 
-    >>> from uqsphere.uq.chaos.expansion import predict
     >>> x = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 2))
     >>> chaos = fit_chaos(x, 1.0 + x[:, 0] * x[:, 1] ** 2, ("uniform", "uniform"))
-    >>> float(predict(chaos, np.array([[0.5, 0.5]]))[0].round(12))
+    >>> float(chaos.predict(np.array([[0.5, 0.5]]))[0].round(12))
     1.125
     """
     germs = tuple(germs)

@@ -26,7 +26,6 @@ from ..estimate import (
     probability_ends,
     spread,
 )
-from ..limit_state import complement
 from .form import DesignPoint, find_design_points
 from .kriging import by_kriging
 from .mixture import (
@@ -151,7 +150,7 @@ def failure_probability(
         survived = failure_probability(survival, accuracy=accuracy)
         reason = survived.estimate.reason
         failure = replace(
-            complement(survived.estimate),
+            survived.estimate.complement(),
             evaluations=evaluator.count + survival.count,
             reason=reason and reason.replace("failure", "survival"),
         )
