@@ -35,7 +35,7 @@ from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points
 from uqsphere.uq.estimate import REPLICATES
-from uqsphere.uq.fitting import STRENGTHS, StrengthFit, fit_strength, make_tests
+from uqsphere.uq.fitting import STRENGTHS, StrengthFit, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
 from uqsphere.uq.rows import LARGEST_ANSWER, SMALLEST_ANSWER, as_answers, check_rows, too_small
 from uqsphere.uq.surrogate import (
@@ -594,4 +594,4 @@ def _fitted(values: Any, stopped: Any, counts: Any, family: str) -> StrengthFit:
         if hasattr(values, "reindex") and hasattr(column, "reindex"):
             columns[name] = in_order_of(column, values.index, name)
     with _refusing():
-        return fit_strength(make_tests(values, **columns), STRENGTHS[family])
+        return make_tests(values, **columns).fit(STRENGTHS[family])

@@ -27,7 +27,7 @@ from uqsphere.uq.chaos.basis import germ_points
 from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import describe
 from uqsphere.uq.estimate import Estimate
-from uqsphere.uq.indices import Blocks, base_points, sampled_indices
+from uqsphere.uq.indices import Blocks, sampled_indices
 from uqsphere.uq.points import sobol_points
 from uqsphere.uq.response import cross_fit, unseen
 
@@ -350,7 +350,7 @@ def pairs(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
     """
     blocks = Blocks(inputs_count=model.dimension)
     rows = [
-        blocks.mix(*base_points(blocks, count=n, seed=seed, task="coverage", replicate=r))
+        blocks.mix(*blocks.base_points(count=n, seed=seed, task="coverage", replicate=r))
         for r in range(16)
     ]
     found = sampled_indices(model.function(np.stack(rows)), blocks)

@@ -11,8 +11,6 @@ from scipy import stats
 from uqsphere.uq.fitting import (
     LEAST_TESTS,
     STRENGTHS,
-    count_tests,
-    fit_strength,
     fitted_law,
     law_of_draws,
     law_of_known_modulus,
@@ -33,14 +31,14 @@ def stopped_at(values: np.ndarray, stop: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def test_complete_series_against_scipy() -> None:
-    found = fit_strength(make_tests(COMPLETE))
+    found = make_tests(COMPLETE).fit()
     modulus, _, scale = stats.weibull_min.fit(COMPLETE, floc=0.0)
     assert found.shape == pytest.approx(modulus, rel=1e-4)
     assert found.scale == pytest.approx(scale, rel=1e-4)
     assert found.log_likelihood == pytest.approx(
         stats.weibull_min(found.shape, scale=found.scale).logpdf(COMPLETE).sum()
     )
-    lognormal = fit_strength(make_tests(COMPLETE), STRENGTHS["lognormal"])
+    lognormal = make_tests(COMPLETE).fit(STRENGTHS["lognormal"])
     assert lognormal.scale == pytest.approx(np.exp(np.log(COMPLETE).mean()), rel=1e-9)
     assert lognormal.shape == pytest.approx(np.log(COMPLETE).std(), rel=1e-9)
     assert lognormal.unbiased == pytest.approx(np.log(COMPLETE).std(ddof=1), rel=1e-9)
@@ -50,7 +48,7 @@ def test_complete_series_against_scipy() -> None:
 def test_stopped_tests_against_scipy(kind: str) -> None:
     values, stopped = stopped_at(COMPLETE, STOP)
     assert 5 <= stopped.sum() <= 15
-    found = fit_strength(make_tests(values, stopped), STRENGTHS[kind])
+    found = make_tests(values, stopped).fit(STRENGTHS[kind])
     data = stats.CensoredData(uncensored=values[~stopped], right=values[stopped])
     law = stats.weibull_min if kind == "weibull" else stats.lognorm
     shape, _, scale = law.fit(data, floc=0.0)
@@ -58,8 +56,8 @@ def test_stopped_tests_against_scipy(kind: str) -> None:
     assert found.scale == pytest.approx(scale, rel=2e-4)
     assert (found.tests, found.failures) == (24, 24 - int(stopped.sum()))
     # to take the stopped tests for failures, or to leave them out, gives too small a strength
-    assert found.scale > fit_strength(make_tests(values), STRENGTHS[kind]).scale
-    assert found.scale > fit_strength(make_tests(values[~stopped]), STRENGTHS[kind]).scale
+    assert found.scale > make_tests(values).fit(STRENGTHS[kind]).scale
+    assert found.scale > make_tests(values[~stopped]).fit(STRENGTHS[kind]).scale
 
 
 @pytest.mark.parametrize(("n", "factor"), [(10, 0.859), (20, 0.931), (30, 0.955)])
@@ -79,7 +77,7 @@ def test_intervals_cover(kind: str, stop: float) -> None:
             if kind == "weibull"
             else np.exp(0.17 * generator.standard_normal(12))
         )
-        found = fit_strength(make_tests(*stopped_at(2.0 * drawn, stop)), STRENGTHS[kind], draws=300)
+        found = make_tests(*stopped_at(2.0 * drawn, stop)).fit(STRENGTHS[kind], draws=300)
         intervals = (found.shape_interval, found.scale_interval)
         hits += [
             low <= true <= high for (low, high), true in zip(intervals, (shape, 2.0), strict=True)
@@ -92,8 +90,8 @@ def test_a_wrong_law_is_seen() -> None:
     mixed = np.concatenate(
         [1.0 + 0.01 * RNG.standard_normal(30), 3.0 + 0.01 * RNG.standard_normal(30)]
     )
-    assert fit_strength(make_tests(mixed), draws=200).p_value < 0.01
-    assert fit_strength(make_tests(COMPLETE), draws=200).p_value > 0.01
+    assert make_tests(mixed).fit(draws=200).p_value < 0.01
+    assert make_tests(COMPLETE).fit(draws=200).p_value > 0.01
 
 
 @pytest.mark.parametrize(
@@ -163,18 +161,14 @@ PUBLIC = {  # values with their failures and stops, and what others published fo
 @pytest.mark.parametrize("case", PUBLIC)
 def test_counts_of_equal_tests(case: str) -> None:
     values, failed, stops, shape, scale = PUBLIC[case]
-    found = fit_strength(
-        make_tests(
-            [*values, *stops], [0] * len(values) + [1] * len(stops), [*failed, *stops.values()]
-        )
-    )
+    found = make_tests(
+        [*values, *stops], [0] * len(values) + [1] * len(stops), [*failed, *stops.values()]
+    ).fit()
     each = [np.repeat(values, failed), np.repeat(list(stops), list(stops.values()))]
     if shape is None:
         shape, _, scale = stats.weibull_min.fit(each[0], floc=0.0)
     assert (found.shape, found.scale) == pytest.approx((shape, scale), rel=2e-4)
-    again = fit_strength(
-        make_tests(np.concatenate(each), np.repeat([0, 1], [each[0].size, each[1].size]))
-    )
+    again = make_tests(np.concatenate(each), np.repeat([0, 1], [each[0].size, each[1].size])).fit()
     assert again.shape_interval == found.shape_interval
 
 
@@ -187,7 +181,7 @@ def test_many_tests_take_little(kind: str) -> None:
 
     values, stopped = stopped_at(np.random.default_rng(2).weibull(4.0, 100_000), 0.317)
     tracemalloc.start()
-    found = fit_strength(make_tests(values, stopped), STRENGTHS[kind])
+    found = make_tests(values, stopped).fit(STRENGTHS[kind])
     assert tracemalloc.get_traced_memory()[1] < 200e6
     tracemalloc.stop()
     low, high = found.shape_interval
@@ -222,7 +216,7 @@ def test_a_known_modulus_needs_no_failure(n: int, stop: float) -> None:
         found = [-math.expm1(-(draw[2] ** -6.0)) for draw in law.draws]
         hits += bool(np.quantile(found, 0.95) >= truth.cdf(1.0))
         none += bool(stopped.all())
-    assert count_tests(law) == n
+    assert law.tests == n
     assert hits / 200 >= 0.95 - 4.0 * math.sqrt(0.95 * 0.05 / 200)
     assert none > 100 or stop > 1.2
 
@@ -230,9 +224,9 @@ def test_a_known_modulus_needs_no_failure(n: int, stop: float) -> None:
 def test_laws_with_stopped_tests() -> None:
     values, stopped = stopped_at(COMPLETE, STOP)
     law = fitted_law(values[~stopped], "weibull", censored=values[stopped], unbiased=True)
-    found = fit_strength(make_tests(values, stopped))
+    found = make_tests(values, stopped).fit()
     assert law.parameters["modulus"] == pytest.approx(found.unbiased, rel=1e-9)
-    assert count_tests(law) == 24
+    assert law.tests == 24
     assert series_behind(law).failures.sum() == found.failures
     moduli = np.array(
         [one.parameters["modulus"] for one in possible_laws(law, 4000, np.random.default_rng(1))]
@@ -331,6 +325,6 @@ def test_a_law_of_draws_is_the_mean_of_its_laws_and_gives_them_back() -> None:
     assert law.cdf(law.ppf(np.array([1e-4, 0.5, 0.99]))) == pytest.approx(
         [1e-4, 0.5, 0.99], rel=1e-6
     )
-    assert count_tests(law) == 12
+    assert law.tests == 12
     found = np.mean([one.cdf(x) for one in possible_laws(law, 4, np.random.default_rng(1))], axis=0)
     assert found == pytest.approx(np.mean(parts, axis=0), abs=1e-9)

@@ -15,7 +15,7 @@ from tests.campaigns.intervals import CoverageModel, coverage_models
 from uqsphere.propagation.limits import change_per_sd
 from uqsphere.uq.chaos.basis import germ_points, germs_of
 from uqsphere.uq.foreign import joint_of
-from uqsphere.uq.indices import Blocks, base_points, jansen_total, sampled_indices
+from uqsphere.uq.indices import Blocks, jansen_total, sampled_indices
 from uqsphere.uq.interop import morris_rows, salib_measures, to_salib
 from uqsphere.uq.joint import Dependence, make_joint
 from uqsphere.uq.law import make_law
@@ -28,7 +28,7 @@ NORMAL = make_law("normal", {"mean": 0.0, "sd": 1.0})
 
 def outputs(model: CoverageModel, blocks: Blocks, count: int, seed: int = 2) -> np.ndarray:
     rows = [
-        blocks.mix(*base_points(blocks, count=count, seed=seed, task="indices", replicate=r))
+        blocks.mix(*blocks.base_points(count=count, seed=seed, task="indices", replicate=r))
         for r in range(16)
     ]
     return model.function(np.stack(rows))

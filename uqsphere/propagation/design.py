@@ -27,7 +27,7 @@ from uqsphere.study import Limit, Study, limit_of
 from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
 from uqsphere.uq.chaos.basis import GermLike, germs_of
 from uqsphere.uq.estimate import REPLICATES
-from uqsphere.uq.fitting import count_tests, is_fitted
+from uqsphere.uq.fitting import is_fitted
 from uqsphere.uq.indices import Blocks
 
 from .failure_modes import AssumedMode, failure_modes_of, judged_by_tests, means_fracture
@@ -259,7 +259,7 @@ def strength_of(limit: Limit) -> Law | float:
 def number_of_tests(strength: Law | float) -> int | None:
     """Number of tests behind a strength, None for one that was not fitted to tests."""
     if is_fitted(strength):
-        return count_tests(strength)
+        return strength.tests
     return None
 
 

@@ -22,15 +22,7 @@ from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit, strength_name
 from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
-from uqsphere.uq.fitting import (
-    STRENGTHS,
-    count_tests,
-    fitted_law,
-    is_fitted,
-    possible_laws,
-    probability_of,
-    series_behind,
-)
+from uqsphere.uq.fitting import STRENGTHS, fitted_law, is_fitted, possible_laws, series_behind
 from uqsphere.uq.joint import FREE
 from uqsphere.uq.limit_state import make_union
 
@@ -170,12 +162,12 @@ def strengths_allowed(design: Design, limit: Limit, law: Law) -> dict[str, list[
     if law.family.name in STRENGTHS and law.data and not limit.needs_modulus:
         series = series_behind(law)
         for name, kind in STRENGTHS.items():
-            if name != law.family.name and probability_of(series, kind) >= REFUTED:
+            if name != law.family.name and series.probability_of(kind) >= REFUTED:
                 with suppress(LawError):
                     laws[name] = fitted_law(law.data, name, censored=law.censored)
     allowed = {}
     tests = tests_behind(limit) or (0.0,)
-    task = f"{count_tests(law)} tests from {tests[0]!r} to {tests[-1]!r}"
+    task = f"{law.tests} tests from {tests[0]!r} to {tests[-1]!r}"
     for name, fitted in laws.items():
         generator = design.generator(task)
         with suppress(LawError):

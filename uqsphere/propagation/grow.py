@@ -22,7 +22,6 @@ from uqsphere.results.types import Stop
 from uqsphere.study import Study
 from uqsphere.uq import Sample
 from uqsphere.uq.estimate import REPLICATES, count_bound
-from uqsphere.uq.indices import base_points
 
 from . import rare
 from .chaos import by_chaos, expansions, varies
@@ -273,8 +272,7 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     """
     mixed = []
     for replicate in range(REPLICATES):
-        halves = base_points(
-            design.blocks,
+        halves = design.blocks.base_points(
             task="pairs",
             replicate=replicate,
             count=count,

@@ -18,7 +18,7 @@ from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
 from uqsphere.uq.estimate import ENDS
-from uqsphere.uq.fitting import STRENGTHS, LocationScale, count_tests, is_fitted
+from uqsphere.uq.fitting import STRENGTHS, LocationScale, is_fitted
 
 from .decision import Settled
 from .design import strength_of
@@ -152,7 +152,7 @@ class _Promise:
         kind, location, scale = _place_of(self.law)
         n = uniforms.shape[1]
         law = self.law
-        broken = max(n - round(n * len(law.censored) / count_tests(law)), 3)
+        broken = max(n - round(n * len(law.censored) / law.tests), 3)
         logs = location + scale * kind.form.quantile(uniforms, 1.0 - uniforms)
         return logs[:, :broken], np.append(np.ones(broken - 1), 1.0 + n - broken)
 

@@ -12,7 +12,7 @@ from uqsphere.quantities import OUTPUTS, display_unit, format_value
 from uqsphere.study import Limit, Study
 from uqsphere.uq import Law
 from uqsphere.uq.families import FAMILIES
-from uqsphere.uq.fitting import STRENGTHS, count_tests, fit_strength, is_fitted, series_behind
+from uqsphere.uq.fitting import STRENGTHS, is_fitted, series_behind
 
 from .format import DASH, meaning, source_text, value, value_range
 from .page import render
@@ -93,7 +93,7 @@ def _strength(limit: Limit) -> tuple[str, ...]:
     demand = meaning(name)
     if not isinstance(law, Law):
         return limit.name, DASH, DASH, "fixed", format_value(float(law), name), DASH, demand
-    tests = str(count_tests(law)) if is_fitted(law) else DASH
+    tests = str(law.tests) if is_fitted(law) else DASH
     cells = (_shape(law), value(law.mean(), name, 4), _range(law, name))
     return limit.name, tests, _tested(limit, law), *cells, demand
 
@@ -117,7 +117,7 @@ def _shape(law: Law) -> str:
         if key in law.parameters:
             text += f", {word} {law.parameters[key]:.3g}"
             if law.data:
-                fit = fit_strength(series_behind(law), STRENGTHS[law.family.name], draws=1000)
+                fit = series_behind(law).fit(STRENGTHS[law.family.name], draws=1000)
                 low, high = fit.shape_interval
                 text += f" ({low:.3g} to {high:.3g})"
     return text

@@ -37,13 +37,11 @@ from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 from uqsphere.uq.fitting import (
     STRENGTHS,
-    fit_strength,
     fitted_law,
     law_of_draws,
     law_of_known_modulus,
     make_tests,
     outliers,
-    probability_of,
 )
 from uqsphere.uq.forms import LOGNORMAL, WEIBULL
 
@@ -580,14 +578,14 @@ def warn_of_rows(
     if (~stopped).sum() >= 6:
         with suppress(ValueError):
             tests = make_tests(x, stopped)
-            p = max(probability_of(tests, law) for law in STRENGTHS.values())
+            p = max(tests.probability_of(law) for law in STRENGTHS.values())
             if p < _UNLIKELY:
                 notes.append(
                     f"{cells.name}: neither a Weibull nor a lognormal distribution fits (p = "
                     f"{p:.2g}). Are rows mixed or faulty?"
                 )
             if table.modulus is not None:
-                low, high = fit_strength(tests, STRENGTHS["weibull"], draws=1000).shape_interval
+                low, high = tests.fit(draws=1000).shape_interval
                 if not low <= table.modulus <= high:
                     draft.warn(
                         f"{cells.name}: the observations have a modulus of {low:.3g} to {high:.3g}"

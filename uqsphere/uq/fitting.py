@@ -25,7 +25,7 @@ from uqsphere.arrays import Array, Flags, Pair, bundle, frozen, special
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
 from .forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, Function, LawError, bandwidth
-from .law import Law, bounds_of, checked
+from .law import Law, bounds_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -196,6 +196,35 @@ def _at_risk(leaving: Array) -> Array:
 # --- tests ----------------------------------------------------------------------------------------
 
 
+@frozen
+class StrengthFit:
+    """A law fitted to tests by the largest likelihood.
+
+    `shape`, `scale`: modulus and scale (63.2 %), or log_sd and median; `unbiased`: the shape
+    without its bias.  The intervals of 95 % come from simulated series: they cover however few the
+    tests, unlike those from the profile of the likelihood.  `p_value`: probability of a larger
+    distance from the Kaplan-Meier estimate if the law were right.
+    """
+
+    tests: int
+    failures: int
+    shape: float
+    scale: float
+    unbiased: float
+    shape_interval: tuple[float, float]
+    scale_interval: tuple[float, float]
+    log_likelihood: float
+    p_value: float
+
+    def to_frame(self) -> "DataFrame":
+        """Two rows, shape and scale: value, low, high."""
+        from pandas import DataFrame
+
+        rows = [(self.shape, *self.shape_interval), (self.scale, *self.scale_interval)]
+        frame = DataFrame(rows, index=["shape", "scale"], columns=["value", "low", "high"])
+        return frame.rename_axis("parameter")
+
+
 @bundle
 class StrengthTests:
     """Different values (k,) of tests in rising order, and how many failed or were stopped at each
@@ -213,6 +242,56 @@ class StrengthTests:
         """
         ended = np.bincount(np.cumsum(self.failures).astype(int), self.stopped)
         return ended[1:] + np.ones(ended.size - 1)
+
+    def best(self, law: LocationScale) -> tuple[float, float]:
+        """Location and scale of u(x) by the largest likelihood."""
+        location, spread = law.maximum(law.u(self.values)[None, :], self.failures, self.stopped)
+        return location.item(), spread.item()
+
+    def fit(self, law: LocationScale = STRENGTHS["weibull"], *, draws: int = DRAWS) -> StrengthFit:
+        """The law of the largest likelihood, its bias and its intervals, those from `draws`
+        simulated series.
+
+        >>> tests = make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1])
+        >>> fit = tests.fit()
+        >>> round(fit.shape, 2), round(fit.scale, 3), fit.failures
+        (4.66, 1.108, 6)
+        """
+        location, spread = self.best(law)
+        y = np.log(self.values)
+        terms = law.terms((y - location) / spread, self.failures, self.stopped)[0]
+        centre, inverse = law.pivots(self.leaving, draws, np.random.default_rng(_SERIES_SEED))
+        # s = s* inverse and mu = mu* - s* centre are what the tests allow
+        shapes = np.quantile(law.shape(spread * inverse), ENDS).tolist()
+        places = np.exp(np.quantile(location - spread * centre, ENDS)).tolist()
+        shape = law.shape(spread)
+        return StrengthFit(
+            tests=int((self.failures + self.stopped).sum()),
+            failures=int(self.failures.sum()),
+            shape=shape,
+            shape_interval=tuple(shapes),
+            unbiased=shape * unbiasing(law, self.leaving, inverse),
+            scale=math.exp(location),
+            scale_interval=tuple(places),
+            log_likelihood=float(terms.sum() - self.failures @ (y + math.log(spread))),
+            p_value=self.probability_of(law),
+        )
+
+    def probability_of(self, law: LocationScale) -> float:
+        """Probability that tests of the fitted law lie farther from it: simulated series, fitted
+        in the same way.
+
+        Of more than `MANY` failures series of so many stand for all: the distance falls as the
+        root of their number.
+        """
+        location, spread = self.best(law)
+        z = (np.log(np.repeat(self.values, self.failures.astype(int))) - location) / spread
+        apart = distance(law.form.tails(z)[0], self.leaving)
+        firsts = np.arange(0, z.size, -(-z.size // MANY))
+        few = np.maximum(np.add.reduceat(self.leaving, firsts) * firsts.size / z.size, 1.0)
+        series = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
+        farther = law.misfit(series, few) * math.sqrt(few.size / z.size) >= apart
+        return (1 + np.count_nonzero(farther)) / (_OTHERS + 1)
 
 
 def make_tests(values: object, stopped: object = None, counts: object = None) -> StrengthTests:
@@ -300,73 +379,6 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
 # --- the fit --------------------------------------------------------------------------------------
 
 
-@frozen
-class StrengthFit:
-    """A law fitted to tests by the largest likelihood.
-
-    `shape`, `scale`: modulus and scale (63.2 %), or log_sd and median; `unbiased`: the shape
-    without its bias.  The intervals of 95 % come from simulated series: they cover however few the
-    tests, unlike those from the profile of the likelihood.  `p_value`: probability of a larger
-    distance from the Kaplan-Meier estimate if the law were right.
-    """
-
-    tests: int
-    failures: int
-    shape: float
-    scale: float
-    unbiased: float
-    shape_interval: tuple[float, float]
-    scale_interval: tuple[float, float]
-    log_likelihood: float
-    p_value: float
-
-    def to_frame(self) -> "DataFrame":
-        """Two rows, shape and scale: value, low, high."""
-        from pandas import DataFrame
-
-        rows = [(self.shape, *self.shape_interval), (self.scale, *self.scale_interval)]
-        frame = DataFrame(rows, index=["shape", "scale"], columns=["value", "low", "high"])
-        return frame.rename_axis("parameter")
-
-
-def _best(tests: StrengthTests, law: LocationScale) -> tuple[float, float]:
-    """Location and scale of u(x) by the largest likelihood."""
-    location, spread = law.maximum(law.u(tests.values)[None, :], tests.failures, tests.stopped)
-    return location.item(), spread.item()
-
-
-def fit_strength(
-    tests: StrengthTests, law: LocationScale = STRENGTHS["weibull"], *, draws: int = DRAWS
-) -> StrengthFit:
-    """The law of the largest likelihood, its bias and its intervals, those from `draws` simulated
-    series.
-
-    >>> tests = make_tests([0.62, 0.81, 0.93, 1.02, 1.1, 1.21, 1.3], [0, 0, 0, 0, 0, 0, 1])
-    >>> fit = fit_strength(tests)
-    >>> round(fit.shape, 2), round(fit.scale, 3), fit.failures
-    (4.66, 1.108, 6)
-    """
-    location, spread = _best(tests, law)
-    y = np.log(tests.values)
-    terms = law.terms((y - location) / spread, tests.failures, tests.stopped)[0]
-    centre, inverse = law.pivots(tests.leaving, draws, np.random.default_rng(_SERIES_SEED))
-    # s = s* inverse and mu = mu* - s* centre are what the tests allow
-    shapes = np.quantile(law.shape(spread * inverse), ENDS).tolist()
-    places = np.exp(np.quantile(location - spread * centre, ENDS)).tolist()
-    shape = law.shape(spread)
-    return StrengthFit(
-        tests=int((tests.failures + tests.stopped).sum()),
-        failures=int(tests.failures.sum()),
-        shape=shape,
-        shape_interval=tuple(shapes),
-        unbiased=shape * unbiasing(law, tests.leaving, inverse),
-        scale=math.exp(location),
-        scale_interval=tuple(places),
-        log_likelihood=float(terms.sum() - tests.failures @ (y + math.log(spread))),
-        p_value=probability_of(tests, law),
-    )
-
-
 def distance(below: Array, leaving: Array) -> Array:
     """Largest difference (...) of a law's probabilities (..., r) at failures from the Kaplan-Meier
     estimate.
@@ -374,23 +386,6 @@ def distance(below: Array, leaving: Array) -> Array:
     after = 1.0 - np.cumprod(1.0 - 1.0 / _at_risk(leaving))
     before = np.append(0.0, after[:-1])
     return np.asarray(np.abs([below - after, below - before]).max(axis=(0, -1)))
-
-
-def probability_of(tests: StrengthTests, law: LocationScale) -> float:
-    """Probability that tests of the fitted law lie farther from it: simulated series, fitted in the
-    same way.
-
-    Of more than `MANY` failures series of so many stand for all: the distance falls as the root of
-    their number.
-    """
-    location, spread = _best(tests, law)
-    z = (np.log(np.repeat(tests.values, tests.failures.astype(int))) - location) / spread
-    apart = distance(law.form.tails(z)[0], tests.leaving)
-    firsts = np.arange(0, z.size, -(-z.size // MANY))
-    few = np.maximum(np.add.reduceat(tests.leaving, firsts) * firsts.size / z.size, 1.0)
-    series = law.series(few, _OTHERS, np.random.default_rng(_SERIES_SEED + 1))
-    farther = law.misfit(series, few) * math.sqrt(few.size / z.size) >= apart
-    return (1 + np.count_nonzero(farther)) / (_OTHERS + 1)
 
 
 # --- a law from a column --------------------------------------------------------------------------
@@ -482,7 +477,7 @@ def fitted_law(
     law = Law(family=family, lower=a, upper=b, data=observed, censored=tuple(sorted(censored)))
     if family.observed is not None:
         width = bandwidth(values) if how == "kde" else 0.0
-        return checked(replace(law, parameters={"bandwidth": width}))
+        return replace(law, parameters={"bandwidth": width}).checked()
     least, *_, largest = observed
     if family.bounds(a, b) and not a < least <= largest < b:
         raise LawError(
@@ -494,7 +489,7 @@ def fitted_law(
         law = _likeliest(law, unbiased)
     except ValueError as error:
         raise LawError(f"{how} does not fit the observations: {error}", "fit") from None
-    return checked(law)
+    return law.checked()
 
 
 def _likeliest(law: Law, unbiased: bool = False) -> Law:
@@ -508,7 +503,7 @@ def _likeliest(law: Law, unbiased: bool = False) -> Law:
     else:
         kind = LOCATION_SCALE[name]
         tests = series_behind(law)
-        location, spread = _best(tests, kind)
+        location, spread = tests.best(kind)
         if unbiased:
             spread = kind.shape(kind.shape(spread) * unbiasing(kind, tests.leaving))
         keys = kind.parameters(location, spread)
@@ -538,13 +533,6 @@ def law_of_known_modulus(
 def is_fitted(law: object) -> TypeGuard[Law]:
     """Whether a strength or an input is a law that was made from observations."""
     return isinstance(law, Law) and law.family.name != "discrete" and bool(law.data or law.draws)
-
-
-def count_tests(law: Law) -> int:
-    """How many tests a law was made from, those included that ended without a failure."""
-    if law.draws:
-        return int(law.parameters["tests"])
-    return len(law.data) + len(law.censored)
 
 
 def series_behind(law: Law) -> StrengthTests:
@@ -592,7 +580,7 @@ def possible_laws(
         return again if family.observed else iter([*again])
     # the parameters of the largest likelihood, whether or not the bias was taken out of the law
     tests = series_behind(law)
-    location, scale = _best(tests, kind)
+    location, scale = tests.best(kind)
     centre, inverse = kind.pivots(tests.leaving, count, generator, at)
     pivots = np.transpose([location - scale * centre, scale * inverse]).tolist()
     return (replace(law, parameters={**law.parameters, **kind.parameters(m, s)}) for m, s in pivots)
@@ -631,7 +619,7 @@ def law_of_draws(draws: Sequence[Sequence[float]], tests: int) -> Law:
     single draws.
 
     >>> law = law_of_draws([(0.0, 0.0, 2.0, 0.1, 0.0), (0.0, 0.0, 2.0, 0.2, 0.0)], 12)
-    >>> law.ppf(np.array([0.5])).round(6).tolist(), count_tests(law)
+    >>> law.ppf(np.array([0.5])).round(6).tolist(), law.tests
     ([2.0], 12)
     """
     return Law(family=DRAWN, parameters={"tests": tests}, draws=tuple(map(tuple, draws)))

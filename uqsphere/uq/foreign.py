@@ -18,7 +18,7 @@ from .families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
 from .fitting import fitted_law
 from .forms import LawError
 from .joint import Dependence, Joint, make_joint
-from .law import Law, checked, discrete_law, make_law
+from .law import Law, discrete_law, make_law
 
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike = Any
@@ -211,7 +211,7 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
     if name == "trunc_normal" and (shift, scale) == (0.0, 1.0):
         return _bounded("normal", *map(_number, shapes))
     if name not in CHAOSPY:
-        return checked(Law(family=BY_FUNCTIONS, source=distribution))
+        return Law(family=BY_FUNCTIONS, source=distribution).checked()
     if name == "log_uniform":
         shapes = [math.exp(_number(end)) for end in shapes]
     return _by_name(CHAOSPY[name], *shapes, shift, scale)

@@ -68,6 +68,64 @@ class Form:
     #: probability that truncation has left
     mass: float = 1.0
 
+    def truncated(self, a: float, b: float) -> "Form":
+        """The form between a and b."""
+        start, end = np.transpose(self.tails(np.array([a, b])))
+        mass = float(_between(start, end))
+
+        def tails(y: Array) -> Tails:
+            place = self.tails(y)
+            below = _between(start, place) / mass
+            return np.clip(below, 0.0, 1.0), np.clip(_between(place, end) / mass, 0.0, 1.0)
+
+        def quantile(p: Array, q: Array) -> Array:
+            # rounding must not take the larger one beyond 1
+            lower = np.minimum(start[0] + p * mass, 1.0)
+            return self.quantile(lower, np.minimum(end[1] + q * mass, 1.0))
+
+        low, high = np.where(np.isinf([a, b]), self.orders, inf).tolist()
+        return Form(
+            tails=tails,
+            quantile=quantile,
+            pdf=lambda y: self.pdf(y) / mass,
+            mass=mass,
+            orders=(low, high),
+        )
+
+    def falling(self, order: float = inf) -> "Form":
+        """The form whose tails are exchanged: that of a hazard that falls."""
+        return replace(
+            self,
+            tails=lambda y: self.tails(y)[::-1],
+            quantile=lambda p, q: self.quantile(q, p),
+            orders=(inf, order),
+        )
+
+    def examined(self, name: str, key: str, order: float | None = None) -> "Form":
+        """The form with the order of its heavy tails, whose quantiles grow as p^(-1/order) where
+        it is not known.
+
+        Raises LawError, for a key, where a quantile in a tail has another probability.
+        """
+        orders = [inf, inf]
+        for tail, side in enumerate(("lower", "upper")):
+            with np.errstate(all="ignore"):
+                places = self.quantile(*(_TAILS, 1.0 - _TAILS)[:: 1 - 2 * tail])
+                # what both may differ by, as a share: a tenth of the smallest error that a run can
+                # ask of a probability
+                right = np.abs(self.tails(places)[tail] / _TAILS - 1.0) < 1e-4
+            if np.isnan(places).all():
+                raise LawError(f"{name} has no law with these shapes", key)
+            if not right[:-1].all():
+                raise LawError(
+                    f"the {side} tail of {name} is wrong from the probability "
+                    f"{_TAILS[~right][0]:g} on: its quantile there has another probability"
+                )
+            _, _, start, _, end = np.abs(places)
+            if end > _HEAVY * start:
+                orders[tail] = order or round(6.0 / math.log10(end / start), 3)
+        return replace(self, orders=(orders[0], orders[1]))
+
 
 #: location and scale of a law, and its standard form
 Placed = tuple[float, float, Form]
@@ -78,31 +136,6 @@ def _between(start: Tails, end: Tails) -> Any:
     lost however far out they are.
     """
     return np.where(start[1] >= 0.5, end[0] - start[0], start[1] - end[1])
-
-
-def truncated(form: Form, a: float, b: float) -> Form:
-    """The form between a and b."""
-    start, end = np.transpose(form.tails(np.array([a, b])))
-    mass = float(_between(start, end))
-
-    def tails(y: Array) -> Tails:
-        place = form.tails(y)
-        below = _between(start, place) / mass
-        return np.clip(below, 0.0, 1.0), np.clip(_between(place, end) / mass, 0.0, 1.0)
-
-    def quantile(p: Array, q: Array) -> Array:
-        # rounding must not take the larger one beyond 1
-        lower = np.minimum(start[0] + p * mass, 1.0)
-        return form.quantile(lower, np.minimum(end[1] + q * mass, 1.0))
-
-    low, high = np.where(np.isinf([a, b]), form.orders, inf).tolist()
-    return Form(
-        tails=tails,
-        quantile=quantile,
-        pdf=lambda y: form.pdf(y) / mass,
-        mass=mass,
-        orders=(low, high),
-    )
 
 
 def either(ppf: Function, isf: Function) -> Quantile:
@@ -137,16 +170,6 @@ def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
     )
 
 
-def falling(form: Form, order: float = inf) -> Form:
-    """The form whose tails are exchanged: that of a hazard that falls."""
-    return replace(
-        form,
-        tails=lambda y: form.tails(y)[::-1],
-        quantile=lambda p, q: form.quantile(q, p),
-        orders=(inf, order),
-    )
-
-
 # --- the forms that families are made of ----------------------------------------------------------
 
 GAUSS = replace(
@@ -159,7 +182,7 @@ GAUSS = replace(
 )
 #: of the logarithm of an exponential variable, and the largest extreme value
 SMALLEST = by_hazard(lambda y: np.exp(np.minimum(y, 700.0)), np.log, np.asarray)
-GUMBEL = falling(by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), np.negative))
+GUMBEL = by_hazard(lambda y: np.exp(-y), lambda h: -np.log(h), np.negative).falling()
 UNIFORM = Form(
     tails=lambda y: (np.clip(y, 0.0, 1.0), np.clip(1.0 - y, 0.0, 1.0)),
     quantile=lambda p, q: p,
@@ -178,7 +201,7 @@ def weibull(m: float | Array) -> Form:
 
 
 def frechet(a: float) -> Form:
-    return falling(weibull(-a), order=a)
+    return weibull(-a).falling(a)
 
 
 def incomplete(name: str, end: float, log_density: Function, *shapes: float) -> Form:
@@ -263,7 +286,7 @@ def form_of(name: str, law: Any, key: str) -> Form:
         moments=(mean, math.sqrt(variance)),
     )
     order = inf if math.isfinite(variance) else 2.0
-    return _examined(form, name, key, order if math.isfinite(mean) else 1.0)
+    return form.examined(name, key, order if math.isfinite(mean) else 1.0)
 
 
 def by_functions(distribution: Any) -> Form:
@@ -277,33 +300,7 @@ def by_functions(distribution: Any) -> Form:
         quantile=lambda p, q: distribution.inv(p),
         pdf=distribution.pdf,
     )
-    return _examined(form, f"{type(distribution).__name__} of chaospy", "")
-
-
-def _examined(form: Form, name: str, key: str, order: float | None = None) -> Form:
-    """The form with the order of its heavy tails, whose quantiles grow as p^(-1/order) where it is
-    not known.
-
-    Raises LawError, for a key, where a quantile in a tail has another probability.
-    """
-    orders = [inf, inf]
-    for tail, side in enumerate(("lower", "upper")):
-        with np.errstate(all="ignore"):
-            places = form.quantile(*(_TAILS, 1.0 - _TAILS)[:: 1 - 2 * tail])
-            # what both may differ by, as a share: a tenth of the smallest error that a run can ask
-            # of a probability
-            right = np.abs(form.tails(places)[tail] / _TAILS - 1.0) < 1e-4
-        if np.isnan(places).all():
-            raise LawError(f"{name} has no law with these shapes", key)
-        if not right[:-1].all():
-            raise LawError(
-                f"the {side} tail of {name} is wrong from the probability {_TAILS[~right][0]:g} "
-                "on: its quantile there has another probability"
-            )
-        _, _, start, _, end = np.abs(places)
-        if end > _HEAVY * start:
-            orders[tail] = order or round(6.0 / math.log10(end / start), 3)
-    return replace(form, orders=(orders[0], orders[1]))
+    return form.examined(f"{type(distribution).__name__} of chaospy", "")
 
 
 # --- forms of laws that are made from observations ------------------------------------------------

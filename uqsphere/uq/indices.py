@@ -68,17 +68,18 @@ class Blocks:
             blocks[:, d + 1 + inputs, inputs] = a
         return blocks
 
+    def base_points(
+        self, count: int, *, seed: int, task: str, replicate: int, start: int = 0
+    ) -> Pair:
+        """Uniform halves A, B, (count, d) each, of one replicate; `start` continues the same
+        design.
 
-def base_points(
-    blocks: Blocks, count: int, *, seed: int, task: str, replicate: int, start: int = 0
-) -> Pair:
-    """Uniform halves A, B, (count, d) each, of one replicate; `start` continues the same design.
-
-    They are the columns of one scrambled Sobol' sequence, so that both together are evenly spread.
-    """
-    d = blocks.inputs_count
-    points = sobol_points(2 * d, count, start=start, seed=seed, task=task, replicate=replicate)
-    return points[:, :d], points[:, d:]
+        They are the columns of one scrambled Sobol' sequence, so that both together are evenly
+        spread.
+        """
+        d = self.inputs_count
+        points = sobol_points(2 * d, count, start=start, seed=seed, task=task, replicate=replicate)
+        return points[:, :d], points[:, d:]
 
 
 # --- estimators -----------------------------------------------------------------------------------

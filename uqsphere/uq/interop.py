@@ -13,7 +13,7 @@ from uqsphere.errors import UsageError
 
 from .estimate import Estimate, absent, from_replicates
 from .foreign import SALIB
-from .indices import Blocks, base_points
+from .indices import Blocks
 from .joint import Joint
 from .law import Law
 
@@ -135,7 +135,7 @@ def to_salib(
     """
     blocks = Blocks(inputs_count=len(inputs.names), second=second)
     problem = salib_problem(inputs)
-    halves = base_points(blocks, count, seed=seed, task="sensitivity", replicate=0)
+    halves = blocks.base_points(count, seed=seed, task="sensitivity", replicate=0)
     rows = inputs.physical(special.ndtri(blocks.mix(*halves)))
     return SalibDesign(problem=problem, rows=rows.reshape(-1, blocks.inputs_count), second=second)
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from uqsphere.arrays import Array, frozen, quiet
 
 from .families import FAMILIES, Family, family_named
-from .forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density, truncated
+from .forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density
 
 #: sum of the weights of a discrete law: shares to a hundredth of a percent
 _MOST_STEPS = 10_000
@@ -87,7 +87,7 @@ class Law:
         form = self._whole[2]
         if self._untruncated or form.pdf is no_density:
             return form
-        return truncated(form, *self._standard(np.array([self.lower, self.upper])))
+        return form.truncated(*self._standard(np.array([self.lower, self.upper])))
 
     def _standard(self, x: Array) -> Array:
         location, scale, _ = self._whole
@@ -107,6 +107,13 @@ class Law:
         """The observations between the bounds (m,)."""
         data = np.array(self.data)
         return data[(data >= self.lower) & (data <= self.upper)]
+
+    @property
+    def tests(self) -> int:
+        """How many tests the law was made from, those included that ended without a failure."""
+        if self.draws:
+            return int(self.parameters["tests"])
+        return len(self.data) + len(self.censored)
 
     @property
     def ends(self) -> list[float]:
@@ -220,6 +227,29 @@ class Law:
             return inf
         return self._moments[1]
 
+    @quiet  # what is beyond floating point is refused
+    def checked(self) -> "Law":
+        """The law, once it is known to have mass, a finite centre, and scatter that floating
+        point can hold.
+        """
+        name = self.family.name
+        centre = self.nominal_mean()
+        # a truncation that leaves less cannot be told from nothing in floating point
+        if math.isfinite(centre) and not self.form.mass > 1e-290:
+            raise LawError(
+                f"the truncation [{self.lower:g}, {self.upper:g}] leaves no mass of the {name} law",
+                "lower" if math.isfinite(self.lower) else "upper",
+            )
+        low, high = self.ppf([0.0, 1.0] if self.is_steps else [0.25, 0.75]).tolist()
+        if not np.isfinite([centre, low, high, self.isf(1e-9)]).all():
+            raise LawError(f"these parameters of {name} give numbers beyond floating point")
+        if not high > low:
+            raise LawError(
+                "the law has no scatter: give the number itself where a fixed value is meant",
+                "dist",
+            )
+        return self
+
     # --- other laws that are like it --------------------------------------------------------------
 
     def with_mean(self, mean: float) -> "Law":
@@ -257,9 +287,8 @@ def make_law(
     if family.observed is not None:
         raise LawError(f"an {name} law is made from observations", "file")
     a, b = bounds_of(lower, upper)
-    return checked(
-        Law(family=family, parameters=family.parameters(given, a, b), lower=a, upper=b, given=given)
-    )
+    parameters = family.parameters(given, a, b)
+    return Law(family=family, parameters=parameters, lower=a, upper=b, given=given).checked()
 
 
 def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
@@ -298,29 +327,5 @@ def discrete_law(values: Sequence[float], weights: Sequence[float] | None = None
             "weights",
         )
     data = np.sort(np.repeat(numbers, counts.astype(int)))
-    return checked(
-        Law(family=FAMILIES["discrete"], parameters={"bandwidth": 0.0}, data=tuple(data.tolist()))
-    )
-
-
-@quiet  # what is beyond floating point is refused
-def checked(law: Law) -> Law:
-    """The law, once it is known to have mass, a finite centre, and scatter that floating point can
-    hold.
-    """
-    name = law.family.name
-    centre = law.nominal_mean()
-    # a truncation that leaves less cannot be told from nothing in floating point
-    if math.isfinite(centre) and not law.form.mass > 1e-290:
-        raise LawError(
-            f"the truncation [{law.lower:g}, {law.upper:g}] leaves no mass of the {name} law",
-            "lower" if math.isfinite(law.lower) else "upper",
-        )
-    low, high = law.ppf([0.0, 1.0] if law.is_steps else [0.25, 0.75]).tolist()
-    if not np.isfinite([centre, low, high, law.isf(1e-9)]).all():
-        raise LawError(f"these parameters of {name} give numbers beyond floating point")
-    if not high > low:
-        raise LawError(
-            "the law has no scatter: give the number itself where a fixed value is meant", "dist"
-        )
-    return law
+    law = Law(family=FAMILIES["discrete"], parameters={"bandwidth": 0.0}, data=tuple(data.tolist()))
+    return law.checked()

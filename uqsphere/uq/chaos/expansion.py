@@ -15,7 +15,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Names, Pair, Places, bundle, frozen, special
 
 from ..estimate import ratio_of_means, spread, spreads, student
-from ..indices import Blocks, base_points, jansen_total, saltelli_first
+from ..indices import Blocks, jansen_total, saltelli_first
 from ..points import sobol_points
 from .basis import Germ, Germs, germ_points, highest_degrees, nested, orthonormal, rows_of, steps_of
 
@@ -272,7 +272,7 @@ def _pair_points(germs: Germs) -> Array:
     """
     blocks = Blocks(inputs_count=len(germs))
     points = [
-        blocks.mix(*base_points(blocks, PAIRS, seed=0, task="polynomial chaos", replicate=r))
+        blocks.mix(*blocks.base_points(PAIRS, seed=0, task="polynomial chaos", replicate=r))
         for r in range(PAIRS_REPLICATES)
     ]
     return germ_points(special.ndtri(np.array(points)), germs)

@@ -33,7 +33,6 @@ from .mixture import (
     ImportanceAnswer,
     adapt,
     around_design_points,
-    defended,
     draw,
     failures,
     gaussian,
@@ -174,7 +173,7 @@ def failure_probability(
     mass = evaluator.mass(plain.points, plain.answers)
     if parts:
         mixture = adapt(evaluator, pool, joined([1.0] * len(parts), parts))
-        answer = importance_sampling(evaluator, defended(mixture), accuracy)
+        answer = importance_sampling(evaluator, mixture.defended(), accuracy)
         draws = answer.draws
         estimate, warning = _defended(*_certify(answer, subset.estimate), mass)
     unseen = min((estimate.high or 1.0) + count_bound(mass.size), 1.0)

@@ -95,6 +95,17 @@ class Mixture(NamedTuple):
         triples = zip(self.means, self.factors, pieces, strict=True)
         return np.concatenate([mean + piece @ factor.T for mean, factor, piece in triples])
 
+    def defended(self) -> "Mixture":
+        """The mixture with its defensive shares: up to ten variables wider copies of its components
+        and the ladder about the origin, beyond that a plain share, which no point of a sphere
+        outweighs.
+        """
+        d = self.means.shape[1]
+        if d > MOST_DIMENSIONS:
+            return joined([0.9, 0.1], [self, standard_normal(d)])
+        copies = self._replace(factors=1.6 * self.factors)
+        return joined([0.84, 0.12, 0.04], [self, copies, wide_mixture(d)])
+
 
 def equal(means: Array, factors: Cells) -> Mixture:
     """Gaussians of equal shares."""
@@ -146,17 +157,6 @@ def around_design_points(points: Sequence[DesignPoint], dimension: int) -> Mixtu
         means.append(mean[:dimension])
         covariances.append(covariance[:dimension, :dimension])
     return equal(np.array(means), np.linalg.cholesky(covariances))
-
-
-def defended(mixture: Mixture) -> Mixture:
-    """The mixture with its defensive shares: up to ten variables wider copies of its components and
-    the ladder about the origin, beyond that a plain share, which no point of a sphere outweighs.
-    """
-    d = mixture.means.shape[1]
-    if d > MOST_DIMENSIONS:
-        return joined([0.9, 0.1], [mixture, standard_normal(d)])
-    copies = mixture._replace(factors=1.6 * mixture.factors)
-    return joined([0.84, 0.12, 0.04], [mixture, copies, wide_mixture(d)])
 
 
 # --- fitting --------------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
     for stage in range(stages):
         if evaluator.left < count:
             break
-        draws.append(draw(evaluator, defended(mixture), count, "adapt", len(draws)))
+        draws.append(draw(evaluator, mixture.defended(), count, "adapt", len(draws)))
         points, weights = failures(evaluator, draws)
         worth = carriers(weights)
         if worth >= least:
@@ -310,7 +310,7 @@ def importance_sampling(
     >>> from uqsphere.uq.rare.form import find_design_points
     >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3, seed=1)
     >>> start = around_design_points(find_design_points(plane), 3)
-    >>> answer = importance_sampling(plane, defended(start)).estimate
+    >>> answer = importance_sampling(plane, start.defended()).estimate
     >>> answer.low < 2.8665157e-07 < answer.high
     True
     """
@@ -377,7 +377,7 @@ def nearby(
         return reweighed
     refitted = fitted(draws[0].mixture, *failures(evaluator, draws))
     half = replace(evaluator, budget=0.5 * evaluator.left)
-    anew = importance_sampling(half, defended(refitted), accuracy)
+    anew = importance_sampling(half, refitted.defended(), accuracy)
     evaluator.count += half.count
     evaluator.failed += half.failed
     now = anew.estimate
