@@ -135,14 +135,7 @@ def describe(
     beyond = share(late)
     if late.any() and broken.any():
         beyond = from_replicates(late.sum(axis=1) / counts, SHARE, total)
-    estimates = quantile_estimates(
-        samples,
-        censored=late,
-        failed=broken,
-        on_failure=on_failure,
-        quantiles=quantiles,
-        method=method,
-    )
+    estimates = quantile_estimates(samples, late, broken, on_failure, quantiles, method)
     return Description(mean=mean, sd=sd, quantiles=estimates, censored_share=beyond, scale=scale)
 
 
@@ -196,7 +189,6 @@ def _moments(samples: Array, kept: Flags, method: str) -> tuple[Estimate, Estima
 
 def quantile_estimates(
     samples: Array,
-    *,
     censored: Flags,
     failed: Flags,
     on_failure: str,

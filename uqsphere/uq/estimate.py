@@ -267,8 +267,6 @@ def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
     [0.042, 0.101]
     """
     n = len(influence)
-    if n < 2:
-        return inf, inf
     deviation = influence - influence.mean()
     unit = float(np.abs(deviation).max())
     if unit == 0.0:

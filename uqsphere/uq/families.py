@@ -233,7 +233,11 @@ FAMILIES = {
             alternatives=(("shape", "scale"),),
             optional={"location": 0.0},
             positive=True,
-            form=lambda shape, scale, location: (location, scale, forms.frechet(shape)),
+            form=lambda shape, scale, location: (
+                location,
+                scale,
+                forms.weibull(-shape).falling(shape),
+            ),
         ),
         Family(
             name="gumbel",

@@ -268,8 +268,7 @@ def joint_of(laws: Joint | Mapping[str, LawLike], dependence: Sequence[Dependenc
             f"found {type(laws).__name__}, allowed: a mapping of name to law, a problem of SALib, "
             f"or a Joint; {EACH}"
         )
-    inputs = {name: as_law(law) for name, law in of_salib(laws).items()}
-    return make_joint(inputs, dependence)
+    return make_joint({name: as_law(law) for name, law in of_salib(laws).items()}, dependence)
 
 
 def of_salib(problem: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -200,10 +200,6 @@ def weibull(m: float | Array) -> Form:
     )
 
 
-def frechet(a: float) -> Form:
-    return weibull(-a).falling(a)
-
-
 def incomplete(name: str, end: float, log_density: Function, *shapes: float) -> Form:
     """A form on [0, end] by an incomplete function of scipy.special, its complement and both
     inverses.

@@ -145,11 +145,11 @@ class LimitState:
             # that of a fixed strength is the strength over the demand's quantile at 1 - p
             d = quantile_estimates(
                 np.where(broken, 0.0, self.demands),
-                censored=late,
-                failed=broken,
-                on_failure=self.on_failure,
-                quantiles=[1.0 - p],
-                method="randomised quasi-Monte Carlo",
+                late,
+                broken,
+                self.on_failure,
+                [1.0 - p],
+                "randomised quasi-Monte Carlo",
             )[1.0 - p]
             if d.value is None or d.low is None or d.high is None:
                 return d

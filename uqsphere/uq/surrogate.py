@@ -313,8 +313,8 @@ class Expansion:
 
         rng = random_generator(seed, "expansion")
         x = self.joint.physical(rng.standard_normal((count, len(self.names))))
-        value = self.fit.predict(self._points(x))
-        return DataFrame(x, columns=self.names).assign(output=value)
+        rows = DataFrame(x, columns=self.names)
+        return rows.assign(output=self.fit.predict(self._points(x)))
 
     def quantiles(self, p: "ArrayLike", *, count: int = 1 << 17, seed: int = 0) -> Array:
         """Quantiles of the expansion's values at probabilities, of so many draws of the inputs."""

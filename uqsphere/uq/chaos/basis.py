@@ -235,6 +235,9 @@ def germ_points(normals: Array, germs: Germs) -> Array:
 
 # --- products of polynomials ----------------------------------------------------------------------
 
+#: of a product, in every input
+Degrees = tuple[int, ...]
+
 
 def hyperbolic_indices(dimension: int, degree: int, norm: float, most: int) -> Places | None:
     """Multi-indices (P, d) with (Σ α_j^norm)^(1/norm) <= degree, or None if there are more than
@@ -285,10 +288,10 @@ def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
     """
     rows = list(map(tuple, active.tolist()))
     ranks = dict(zip(rows, weights.tolist(), strict=True))
-    base = set[tuple[int, ...]]()
+    base = set[Degrees]()
     for degrees in (active + 1).tolist():
         base.update(product(*map(range, degrees)))
-    rank = dict[tuple[int, ...], float]()
+    rank = dict[Degrees, float]()
     for row in base:
         for j, k in enumerate(row):
             above = _moved(row, j, 1)
@@ -300,7 +303,7 @@ def grown(active: Places, weights: Array, highest: int, most: int) -> Places:
     return np.array((rows + inner + outer)[: max(most, len(rows))], int)
 
 
-def _moved(row: tuple[int, ...], j: int, step: int) -> tuple[int, ...]:
+def _moved(row: Degrees, j: int, step: int) -> Degrees:
     """Degrees with so many more in one input."""
     return (*row[:j], row[j] + step, *row[j + 1 :])
 

@@ -17,7 +17,17 @@ from uqsphere.arrays import Array, Flags, Names, Pair, Places, bundle, frozen, s
 from ..estimate import ratio_of_means, spread, spreads, student
 from ..indices import Blocks, jansen_total, saltelli_first
 from ..points import sobol_points
-from .basis import Germ, Germs, germ_points, highest_degrees, nested, orthonormal, rows_of, steps_of
+from .basis import (
+    Degrees,
+    Germ,
+    Germs,
+    germ_points,
+    highest_degrees,
+    nested,
+    orthonormal,
+    rows_of,
+    steps_of,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -133,7 +143,7 @@ class Chaos:
         pairs = zip(self.germs, highest.tolist(), strict=True)
         powers = [orthonormal(germ, top, x) for germ, top in pairs]
         # by the powers of the inputs: coefficients (P,) in the products
-        table = defaultdict[tuple[int, ...], Array](lambda: np.zeros(len(self.coefficients)))
+        table = defaultdict[Degrees, Array](lambda: np.zeros(len(self.coefficients)))
         for term, degrees in enumerate(self.multi_indices):
             rows = [power[n].coef.tolist() for power, n in zip(powers, degrees, strict=True)]
             for exponent in product(*map(range, degrees + 1)):
@@ -196,8 +206,8 @@ class Chaos:
         """
         d = len(self.germs)
         if self.constant:
-            level = float(self.predict(np.zeros(d)))
-            return Integrals(mean=level, sd=0.0, shares=np.zeros((2, d)))
+            shares = np.zeros((2, d))
+            return Integrals(mean=float(self.predict(shares[0])), sd=0.0, shares=shares)
         if self.log and (self.multi_indices > 0).sum(axis=1).max() == 1:
             return _product(self)
         plain = self.plain_form

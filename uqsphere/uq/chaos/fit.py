@@ -294,8 +294,7 @@ def folds_of(n: int, folds: int) -> Places:
     """
     folds = min(folds, n)
     generator = np.random.default_rng(0)
-    runs = [generator.permutation(folds) for _ in range(-(-n // folds))]
-    return np.concatenate(runs)[:n]
+    return np.concatenate([generator.permutation(folds) for _ in range(-(-n // folds))])[:n]
 
 
 def forward_selection(target: Target, basis: Basis) -> Choice:
