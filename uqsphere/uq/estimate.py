@@ -7,8 +7,6 @@ probability, and the linearised ratio for what is one mean over another.  Its pa
 model, and `rare` and `fitting` have intervals of their own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -82,7 +80,7 @@ class Estimate:
         high = self.high if self.high_unseen is None else self.high_unseen
         return low, high
 
-    def spanning(self, low: float, high: float) -> Estimate:
+    def spanning(self, low: float, high: float) -> "Estimate":
         """The same from one end to another, which its standard error follows; the value stays
         inside.
         """
@@ -91,12 +89,12 @@ class Estimate:
             high = max(high, self.value)
         return replace(self, low=low, high=high, std_error=0.5 * (high - low) / student(inf))
 
-    def holding(self, other: Estimate) -> Estimate:
+    def holding(self, other: "Estimate") -> "Estimate":
         """The same with an interval that holds both."""
         ends = [end for end in (self.low, self.high, other.low, other.high) if end is not None]
         return self.spanning(min(ends), max(ends))
 
-    def complement(self) -> Estimate:
+    def complement(self) -> "Estimate":
         """The probability of the opposite; what is not known is bounded the other way round."""
 
         def of(p: float | None) -> float | None:

@@ -79,13 +79,12 @@ class Sample:
         """Whether a quantity outlasts the record, (R, n)."""
         return self.censored[:, :, self.quantities.index(quantity)]
 
-    def lost(self, quantity: str) -> Flags:
-        """Whether a quantity has no value, (R, n): a row that has failed may still have others."""
-        return np.asarray(self.failed & ~np.isfinite(self.answer(quantity)))
-
     def outputs(self, quantity: str) -> Array:
-        """Values (R n,) of a quantity, nan where there is none."""
-        return np.where(self.lost(quantity), np.nan, self.answer(quantity)).ravel()
+        """Values (R n,) of a quantity, nan where there is none: a failed row may still have
+        others.
+        """
+        values = self.answer(quantity)
+        return np.where(self.failed & ~np.isfinite(values), np.nan, values).ravel()
 
     def knows(self, quantity: str) -> bool:
         """Whether a quantity is a plain number in every row."""

@@ -318,8 +318,9 @@ def importance_sampling(
     done = 0
     block = max(min(256, evaluator.left // (4 * REPLICATES)), mixture.shares.size)
     draws = Draws(mixture.drawn(block), np.empty((REPLICATES, 0, d)), np.empty((REPLICATES, 0)))
-    nothing = absent("the budget does not suffice for importance sampling", METHOD, 0)
-    answer = ImportanceAnswer(nothing)
+    answer = ImportanceAnswer(
+        absent("the budget does not suffice for importance sampling", METHOD, 0)
+    )
     while answer.estimate.half_width > accuracy * (answer.estimate.value or 0.0):
         more = min(max(done // 2, 1), evaluator.left // (REPLICATES * block))
         if more < 1:
@@ -350,8 +351,9 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
     value = rows.mean()
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
-        nothing = absent("no failure among the points", method, evaluator.count, below=high)
-        return ImportanceAnswer(nothing)
+        return ImportanceAnswer(
+            absent("no failure among the points", method, evaluator.count, below=high)
+        )
     error = max(spread(rows), 1e-12 * value)
     if not evaluator.integrated:
         error = max(error, HARD * weights.std() / math.sqrt(weights.size))
