@@ -337,7 +337,13 @@ def sampling(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
             for r in range(16)
         ]
     )
-    found = describe(model.function(u), quantiles=tuple(model.quantiles))
+    found = describe(
+        model.function(u),
+        censored=np.zeros(u.shape[:2], dtype=bool),
+        on_failure="drop",
+        quantiles=tuple(model.quantiles),
+        method="randomised quasi-Monte Carlo",
+    )
     yield hit(model.name, "mean", n, found.mean, model.mean, model.sd)
     yield hit(model.name, "sd", n, found.sd, model.sd, model.sd)
     for p, truth in model.quantiles.items():

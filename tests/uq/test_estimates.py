@@ -11,11 +11,20 @@ import pytest
 from scipy import stats
 from scipy.special import ndtri
 
-from uqsphere.uq.describe import describe, describe_controlled, hill
+from uqsphere.uq.describe import Description, describe_controlled, hill
+from uqsphere.uq.describe import describe as describe_sample
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, sample_reader, share
 from uqsphere.uq.points import sobol_points
 
 QUANTILES = (0.05, 0.5, 0.95)
+PLAIN = {"censored": False, "on_failure": "drop", "quantiles": QUANTILES, "method": "plain"}
+
+
+def describe(samples: np.ndarray, **options: object) -> Description:
+    """The description of samples that are plain but for some options."""
+    return describe_sample(samples, **(PLAIN | options))
+
+
 REPETITIONS = 60
 
 

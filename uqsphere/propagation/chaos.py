@@ -29,7 +29,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values, bundle, special
 from uqsphere.uq import Estimate, Sample, from_replicates
-from uqsphere.uq.chaos.basis import germ_points, rows_of
+from uqsphere.uq.chaos.basis import germ_points
 from uqsphere.uq.chaos.expansion import Chaos
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
@@ -124,7 +124,7 @@ def expansions(
             fit, values, left = _fitted(design, points, outputs, rows)
         form = fit.plain_form
         rest = (outputs[1:] - values)[:, :few]
-        terms = rows_of(form.germs, np.concatenate(points[1:, :few]), form.multi_indices)
+        terms = form.rows(np.concatenate(points[1:, :few]))
         expansion = Expansion(
             fit=fit,
             rows=rows,

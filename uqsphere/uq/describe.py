@@ -100,10 +100,10 @@ def heavy_tail(outputs: Array, *, certain: bool = False) -> str:
 def describe(
     samples: Array,
     *,
-    censored: Flags | bool = False,
-    on_failure: str = "drop",
-    quantiles: Sequence[float] = (0.01, 0.05, 0.5, 0.95, 0.99),
-    method: str = "randomised quasi-Monte Carlo",
+    censored: Flags,
+    on_failure: str,
+    quantiles: Sequence[float],
+    method: str,
 ) -> Description:
     """Mean, standard deviation, quantiles and censored share of samples (R, n).
 

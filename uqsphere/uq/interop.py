@@ -161,7 +161,7 @@ def _unit_problem(names: Names) -> dict[str, Any]:
 
 
 def salib_measures(
-    method: str, uniforms: Array, outputs: Array, names: Names, *, seed: int = 0
+    method: str, uniforms: Array, outputs: Array, names: Names, *, seed: int
 ) -> list[Estimate]:
     """SALib's measure of every input from uniform rows (n, d) and outputs (n,).
 

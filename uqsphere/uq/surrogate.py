@@ -26,7 +26,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Names, Pair, bundle, is_labelled
 from uqsphere.errors import UsageError
 
-from .chaos.basis import MOST_STEPS, Germ, Germs, germ_points, germs_of, rows_of, values_of
+from .chaos.basis import MOST_STEPS, Germ, Germs, germ_points, germs_of, values_of
 from .chaos.expansion import Chaos, ChaospyObjects
 from .chaos.fit import fit_chaos
 from .corrected import indices_of
@@ -268,7 +268,7 @@ class Expansion:
         inverse, scores = self._scores
         rank = math.ceil(level * (scores.size + 1))
         if rank <= scores.size:
-            leverage = _leverage(inverse, self._rows(points))
+            leverage = _leverage(inverse, self.fit.rows(points))
             half = scores[rank - 1] * (self._slope(value) * np.sqrt(1.0 + leverage))
         value = np.where(inside, value, np.nan)
         return Prediction(
@@ -277,9 +277,6 @@ class Expansion:
 
     def _points(self, x: Array) -> Array:
         return _points(self.joint, self.fit.germs, x)
-
-    def _rows(self, points: Array) -> Array:
-        return rows_of(self.fit.germs, points, self.multi_indices)
 
     def _slope(self, value: Array) -> Array:
         """What the output moves by where the fitted polynomial moves by one."""
@@ -292,7 +289,7 @@ class Expansion:
         """(P'P)⁻¹ of the rows, and what each of them is off by, over its standard error without
         itself, by size.
         """
-        rows = self._rows(self.response.points)
+        rows = self.fit.rows(self.response.points)
         inverse: Any = np.linalg.pinv(rows @ rows.T)
         leverage = np.minimum(_leverage(inverse, rows), 1.0 - 1e-9)
         error = self._slope(self.response.levels) * np.sqrt(1.0 / (1.0 - leverage))

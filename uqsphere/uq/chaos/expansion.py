@@ -236,13 +236,17 @@ class Chaos:
             moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
         )
 
+    def rows(self, points: Array) -> Array:
+        """Values (P, n) of its products at germ points (n, d)."""
+        return rows_of(self.germs, points, self.multi_indices)
+
     def predict(self, points: Array) -> Array:
         """Values (...) of the expansion at germ points (..., d)."""
         rows = points.reshape(-1, points.shape[-1])
         parts = np.array_split(rows, len(rows) // BLOCK + 1)
-        values = np.concatenate(
-            [self.coefficients @ rows_of(self.germs, part, self.multi_indices) for part in parts]
-        ).reshape(points.shape[:-1])
+        values = np.concatenate([self.coefficients @ self.rows(part) for part in parts]).reshape(
+            points.shape[:-1]
+        )
         if self.log:
             values = self.sign * np.exp(np.clip(values, *self.bounds))
         return values
@@ -252,7 +256,7 @@ class Chaos:
         points (n, d).
         """
         plain = self.plain_form
-        rows = rows_of(plain.germs, points, plain.multi_indices) * plain.coefficients[:, None]
+        rows = plain.rows(points) * plain.coefficients[:, None]
         return plain.parts.swapaxes(1, 2).astype(float) @ rows
 
 
@@ -301,7 +305,7 @@ def _product(fit: Chaos) -> Integrals:
             scores[:, j], weights[:, j] = 0.0, 0.0
             scores[:count, j], weights[:count, j] = steps_of(germ.law)
     weights /= weights.sum(axis=0)
-    rows = rows_of(fit.germs, germ_points(scores, fit.germs), fit.multi_indices)
+    rows = fit.rows(germ_points(scores, fit.germs))
     exponents = (fit.multi_indices > 0).T * fit.coefficients @ rows
     # over the largest of each input: a fit that runs away has no finite factors
     largest = exponents.max(axis=1)

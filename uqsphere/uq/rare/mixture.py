@@ -302,7 +302,7 @@ class ImportanceAnswer(NamedTuple):
 
 
 def importance_sampling(
-    evaluator: Evaluator, mixture: Mixture, accuracy: float = 0.02
+    evaluator: Evaluator, mixture: Mixture, accuracy: float
 ) -> ImportanceAnswer:
     """Probability of failure from blocks of points of each replicate, half as many again until the
     half-width over the value is at most `accuracy` or the budget is spent.
@@ -310,7 +310,7 @@ def importance_sampling(
     >>> from uqsphere.uq.rare.form import find_design_points
     >>> plane = Evaluator(function=lambda u: 5.0 - u[:, 0], dimension=3, seed=1)
     >>> start = around_design_points(find_design_points(plane), 3)
-    >>> answer = importance_sampling(plane, start.defended()).estimate
+    >>> answer = importance_sampling(plane, start.defended(), 0.02).estimate
     >>> answer.low < 2.8665157e-07 < answer.high
     True
     """

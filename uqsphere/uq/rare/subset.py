@@ -36,13 +36,13 @@ class SubsetAnswer(NamedTuple):
     levels: int
 
 
-def subset_simulation(evaluator: Evaluator, per_level: int = 1000) -> SubsetAnswer:
+def subset_simulation(evaluator: Evaluator, per_level: int) -> SubsetAnswer:
     """Probability of failure with the spread of whole runs of `per_level` points a level.
 
     Raises Spent where the budget does not suffice for the first level.
 
     >>> plane = Evaluator(function=lambda u: 3.0 - u[:, 0], dimension=2, seed=1)
-    >>> estimate = subset_simulation(plane).estimate
+    >>> estimate = subset_simulation(plane, 1000).estimate
     >>> estimate.low < 1.3499e-3 < estimate.high
     True
     """
