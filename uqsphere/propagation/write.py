@@ -328,9 +328,7 @@ def _strength_text(limit: Limit) -> str:
 
 
 def _dependence(tie: Dependence) -> DependenceEntry:
-    text = f"Spearman's rank correlation {tie.spearman or 0.0:g}"
-    if tie.kendall is not None:
-        text = f"Kendall's rank correlation {tie.kendall:g}"
+    text = tie.text
     if tie.copula != "gaussian":
         text += f", Student t copula of {tie.dof:g} degrees of freedom"
     return DependenceEntry(of=list(tie.of), text=text)
@@ -430,7 +428,5 @@ def write_run(
 
     try:
         files |= page_files(results, [*files])
-    except Exception:
+    finally:
         write_files(folder, files)  # a fault of a figure costs no results
-        raise
-    write_files(folder, files)

@@ -17,8 +17,7 @@ from uqsphere.quantities import (
     format_value,
     lookup,
 )
-from uqsphere.results.answers import Answers
-from uqsphere.results.types import Answer, Decision, LimitEntry, Range, Results
+from uqsphere.results.types import Answer, Range
 from uqsphere.units import UNITS
 
 DASH = "–"
@@ -27,11 +26,6 @@ Estimated = Answer | Range
 _UNITS = "|".join(map(re.escape, filter(None, chain.from_iterable(UNITS.values()))))
 #: a number in front of its unit, with a blank that may break
 _SPLIT = re.compile(rf"(?<=\d) (?=(?:%|{_UNITS})(?![\w/]))")
-
-
-def table_of(results: Results) -> Answers:
-    """The answers of a run, to be looked up."""
-    return Answers(results.answers)
 
 
 def ends_of(rows: Iterable[Estimated]) -> Array:
@@ -217,16 +211,3 @@ def label(subject: str) -> str:
     if subject.startswith("modes."):
         return f"{plain_name(subject)}*"
     return plain_name(subject)
-
-
-def safe_above(decision: Decision) -> bool:
-    """Whether the number to use of a decision is the least allowable one."""
-    if decision.use is None:
-        return decision.aim == "break"
-    return decision.use.safe_end == "smallest"
-
-
-def entries_of(results: Results) -> dict[str, LimitEntry]:
-    """Limits of the study, and failure modes beside them, by their subject."""
-    entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
-    return entries | {f"modes.{name}": entry for name, entry in results.study.modes.items()}

@@ -11,7 +11,7 @@ from uqsphere.arrays import Array, Names
 from uqsphere.quantities import display_unit, format_probability, format_together
 from uqsphere.results.types import Kind, QuantityEntry, Range, Results
 
-from .format import ends_of, meaning, table_of, with_unit
+from .format import ends_of, meaning, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -189,14 +189,13 @@ class Indices(NamedTuple):
 
 def indices_of(results: Results, quantities: Names) -> list[Indices]:
     """Sobol' indices of some quantities, the inputs in one order: the largest total first."""
-    answers = table_of(results)
     inputs = ranked_inputs(results, quantities)[:MOST_INPUTS]
     names = [_brief(meaning(name)) for name in inputs]
     columns = []
     for quantity in quantities:
         orders = []
         for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
-            rows = [answers.get(quantity, kind, name) or Range() for name in inputs]
+            rows = [results.get(quantity, kind, name) or Range() for name in inputs]
             orders.append(ends_of(rows))
         if np.isfinite(orders[1][0]).any():
             name = meaning(quantity).removeprefix("equivalent ")

@@ -33,7 +33,6 @@ from .format import (
     plain_name,
     plain_probability,
     probability,
-    safe_above,
     small,
     value,
 )
@@ -64,7 +63,7 @@ class DecisionText:
         self.results, self.decision = results, decision
         self.aim = f"To {decision.aim}"
         self._free = results.study.free
-        self._safe_above = safe_above(decision)
+        self._safe_above = decision.safe_above
         #: the doubt that sets the number to use
         self._governing = [doubt for doubt in decision.doubts if doubt.governs]
 
