@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import Caveat, CheckEntry, Grade
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.study.values import FARTHEST_SIZE
 from uqsphere.uq import Law
 from uqsphere.uq.describe import heavy_tail
@@ -21,7 +21,7 @@ from .decision import Settled
 from .design import Design
 from .limits import failure_given_inputs
 from .line import Line, plan_of
-from .tables import Tables, input_rows
+from .tables import Slow, Tables, input_rows
 
 #: rows that are checked
 ROWS = 512
@@ -65,13 +65,12 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         _, rows = input_rows(plan.rows)
         yield from _later_loading(design, rows)
         yield from _out_of_reach(design, rows)
-    slow = tables.surrogate
     failed = sample.failed.mean()
-    if slow is not None:
-        failed = slow.dropped or failed
+    if isinstance(tables, Slow):
+        failed = tables.dropped or failed
     if failed > 0.0:
         effect = {"drop": "left out", "bound": "intervals widened"}[design.on_failure]
-        if slow is not None and slow.dropped and slow.predicted is not None:
+        if isinstance(tables, Slow) and tables.dropped and tables.predicted is not None:
             effect = "in their place stand predictions from the runs that did not"
         yield Check(
             name="failed_rows",
@@ -80,7 +79,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             text=f"{format_probability(failed)} of the model runs failed",
             effect=effect,
         )
-    if slow is not None:
+    if isinstance(tables, Slow):
         n = tables.runs
         yield Check(
             name="few_runs",
@@ -220,7 +219,7 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
         if path.startswith(ours) or not path.startswith("limits."):
             yield Caveat.model_validate({"code": code, "subject": path, "text": text})
     # limits on the same tests rest on one set of synthetic data
-    names = [strength_name(group[0].name) for group in settled.aim.groups]
+    names = [group[0].strength_name for group in settled.aim.groups]
     for name in dict.fromkeys([*names, *design.inputs]):
         if name in design.study.made_up:
             yield Caveat(code="synthetic tests", subject=name)

@@ -121,6 +121,12 @@ class Settled(Curves):
         candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
+    def is_safe(self, value: float, margin: float) -> bool:
+        """Whether a value of the free number lies on the safe side of a margin."""
+        if self.safe_above and margin != math.inf:
+            return value >= margin
+        return value <= margin
+
     def once_gone(self, doubt: Doubt) -> float | None:
         """The number once a doubt is gone: the failure mode, or a limit that leaves no number, left
         out; else by the other doubts, but for contacts that yield with the same strengths.

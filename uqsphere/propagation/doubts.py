@@ -19,7 +19,7 @@ import numpy as np
 from uqsphere.arrays import Array, frozen, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.uq import Law, LawError, make_law
 from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
 from uqsphere.uq.fitting import (
@@ -155,8 +155,7 @@ def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternativ
             strengths = strengths_allowed(design, limit, law)
         for name, laws in strengths.items():
             yield Alternative(code=code, limit=limit, detail=name, laws=laws)
-        tied = strength_name(limit.name)
-        if any(tied in tie.of for tie in design.study.dependence):
+        if any(limit.strength_name in tie.of for tie in design.study.dependence):
             yield Alternative(code="tie", limit=limit)
 
 
@@ -219,7 +218,7 @@ class Others:
         they hold: of a strength that depends on theirs
     """
 
-    none: Array
+    none: Array | float = 1.0
     shift: Array | float = 0.0
     scale: float = 1.0
 
@@ -334,18 +333,14 @@ class Curves:
         by each of some strengths; by its own where there are none.
         """
         state = self.line.state(limit)
+        others = self.others.get(limit.name, Others())
         if not tied:
             state = replace(state, tie=FREE)
-        others = self.others.get(limit.name)
-        if others is not None and not tied:
             others = Others(none=others.none)
         means = []
         for strength in laws or [state.strength]:
-            rows = exceedance(replace(state, strength=strength), self.aim.word)
-            alone = joint = self.line.means(rows)
-            if others is not None:
-                joint = self.line.means(others.or_any(rows))
-            means.append((alone, joint))
+            alone = exceedance(replace(state, strength=strength), self.aim.word)
+            means.append([self.line.means(rows) for rows in (alone, others.or_any(alone))])
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
     def computed(self, limit: Limit) -> Doubt:
@@ -402,9 +397,8 @@ class Curves:
         """The rows of each value that carry the failures of a limit, alone and with the other
         failure modes; infinite where none does.
         """
-        alone = joint = exceedance(self.line.state(limit), self.aim.word)
-        if limit.name in self.others:
-            joint = self.others[limit.name].or_any(alone)
+        alone = exceedance(self.line.state(limit), self.aim.word)
+        joint = self.others.get(limit.name, Others()).or_any(alone)
         carried_by = []
         for exceeded in (alone, joint):
             failing = np.nan_to_num(exceeded if self.aim.survive else 1.0 - exceeded)

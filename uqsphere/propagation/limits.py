@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.models.scene import fractures_of
 from uqsphere.results.answers import Rows, estimate_row, number_row
-from uqsphere.study import Limit, limit_of, strength_name
+from uqsphere.study import Limit, limit_of
 from uqsphere.uq import (
     Estimate,
     Law,
@@ -78,7 +78,7 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     constant = not design.drawn.names and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
-    return tables.source.probability(
+    return tables.probability(
         column,
         sampled,
         lambda sample: failure_given_inputs(state_of(design, limit, sample), limit),
@@ -126,7 +126,7 @@ def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
         censored=sample.late(column),
         on_failure=design.on_failure,
     )
-    name = strength_name(limit.name)
+    name = limit.strength_name
     if not design.study.dependence or name not in design.joint.names:
         return state
     scores = design.drawn.scores(sample.scores)
@@ -174,9 +174,7 @@ def drivers(tables: Tables) -> Rows:
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
-            yield estimate_row(
-                subject, "driver", strength_name(limit.name), change, runs=tables.runs
-            )
+            yield estimate_row(subject, "driver", limit.strength_name, change, runs=tables.runs)
 
 
 def change_per_sd(
@@ -266,7 +264,7 @@ def common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     place_of = design.joint.names.index
     correlation = design.joint.correlation
     covariance = np.eye(len(limits))
-    names = [strength_name(limit.name) for limit in limits]
+    names = [limit.strength_name for limit in limits]
     random = [k for k, name in enumerate(names) if name in design.joint.names]
     if not design.joint.dependent or len(random) < 2:
         return covariance

@@ -106,11 +106,10 @@ class Line:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
         starts = np.cumsum([0, *self._counts[:-1]])
         lost = np.isnan(rows)
-        kept: Array = np.array(self._counts, dtype=float)
-        if lost.any():
-            kept = np.maximum(np.add.reduceat((~lost).astype(float), starts, axis=1), 1.0)
-            rows = np.where(lost, 0.0, rows)
-        return (np.add.reduceat(rows, starts, axis=1) / kept).T
+        kept = np.add.reduceat(~lost, starts, axis=1, dtype=float)
+        total = np.add.reduceat(np.where(lost, 0.0, rows), starts, axis=1)
+        means: Array = total / np.maximum(kept, 1.0)
+        return means.T
 
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""

@@ -224,7 +224,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     exceeded_here = exceedance(line.state(limit), word)
     stands = 1.0 - exceeded_here
     of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
-    others = of_study.others.get(limit.name, Others(none=np.ones(1)))
+    others = of_study.others.get(limit.name, Others())
     # neither of the study's other limits without this one
     held = line.means(1.0 - others.or_any(exceeded_here) + exceeded_here).mean(axis=1)
     tables = []

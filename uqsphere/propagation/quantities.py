@@ -13,7 +13,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.results.answers import Rows, estimate_row
 from uqsphere.uq import absent
 
-from .tables import Tables
+from .tables import Slow, Tables
 
 
 def distributions(tables: Tables) -> Rows:
@@ -93,7 +93,7 @@ def salib_indices(tables: Tables, model: Model) -> Rows:
         columns = {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"
-        elif method == "morris" and tables.surrogate is not None:
+        elif method == "morris" and isinstance(tables, Slow):
             reason = "the model is too slow for a design of its own"
         elif method == "morris":
             uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=seed)

@@ -19,7 +19,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of, tails
 from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
@@ -221,5 +221,5 @@ def _physical(
         # failure is z below the score of the demand: the strength there
         z = np.full((1, 1), sign_of(limit) * point[size])
         score = state_of(design, limit, sample).tie.score_at(z)
-        values[strength_name(limit.name)] = law.from_normal(score)[0, 0]
+        values[limit.strength_name] = law.from_normal(score)[0, 0]
     return values

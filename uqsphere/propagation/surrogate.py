@@ -167,8 +167,7 @@ def tables_of(
             )
         points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
-    slow = _predicted(design, rows)
-    tables = Tables(design=design, sample=slow.sample, surrogate=slow)
+    tables = _predicted(design, rows)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
@@ -214,9 +213,9 @@ def _evaluated(
 
 
 def _predicted(design: Design, rows: Sample) -> Slow:
-    """The expansions of all columns with the table of their values: of the rows themselves, in
-    blocks that stand for replicates, where a column is too rough for its expansions, or where
-    these would extrapolate into a region in which the model fails.
+    """The tables with the expansions of all columns, whose values are the sample: the rows
+    themselves, in blocks that stand for replicates, where a column is too rough for its expansions,
+    or where these would extrapolate into a region in which the model fails.
     """
     dropped = 0.0
     apart = False
@@ -239,7 +238,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         sample = rows.head(rows.count // count * count).in_blocks(count)
     return Slow(
         design=design,
-        rows=rows,
+        evaluated=rows,
         responses=responses,
         sample=sample,
         predicted=predicted,

@@ -30,7 +30,7 @@ from uqsphere.results.types import (
     Use,
     VerdictWord,
 )
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates, target_met
 from uqsphere.uq.estimate import SURE, spread
 
@@ -42,7 +42,7 @@ from .failure_modes import means_fracture
 from .limits import failure
 from .line import YieldingRows, line_of, plan_of, refined, yielding_rows
 from .promise import gains_of
-from .tables import Tables
+from .tables import Slow, Tables
 
 #: points of a replicate that doubts are asked on at the plan
 _AT_PLAN = 256
@@ -93,11 +93,10 @@ class Judged:
         planned = self.aim.design.planned
         if self.line is None or number is None or planned is None:
             return False
-        safe = planned <= number
-        if self.settled.safe_above and number != math.inf:
-            safe = planned >= number
-        lowest = [(self.all_modes[limit.name].low or 0.0, limit) for limit in self.aim.limits]
-        return safe and any(low > limit.target for low, limit in lowest)
+        missed = any(
+            (self.all_modes[limit.name].low or 0.0) > limit.target for limit in self.aim.limits
+        )
+        return missed and self.settled.is_safe(planned, number)
 
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""
@@ -120,7 +119,7 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
         line = line_of(tables)
         settled = None
         if line is not None:
-            if tables.surrogate is not None or tables.stopped == "interrupted":
+            if isinstance(tables, Slow) or tables.stopped == "interrupted":
                 settled = Settled(aim=aim, line=line)
             else:
                 settled = settled_accurately(model, aim, line, end)
@@ -153,9 +152,8 @@ def _turns_back(settled: Settled, plan: Settled, planned: float) -> bool:
     line = settled.line
     if number is None or not line.values[0] < planned < line.values[-1]:
         return False
-    safe_below = not settled.safe_above
-    if math.isfinite(number) and (planned < number) != safe_below:
-        return False  # nor does the curve call the plan safe
+    if not settled.is_safe(planned, number):
+        return False
     for limit in settled.aim.limits:
         (p,) = plan.middle(limit)
         away = abs(p - line.at(settled.middle(limit), planned))
@@ -435,9 +433,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     limit = doubt.limit
     by_margin = True
     if margin is not None and planned is not None:
-        by_margin = planned <= margin
-        if judged.settled.safe_above and margin != math.inf:
-            by_margin = planned >= margin
+        by_margin = judged.settled.is_safe(planned, margin)
         if doubt.code != "computation":
             return by_margin
     if doubt.code == "computation":
@@ -497,7 +493,7 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     remedy = _REMEDIES.get(deciding.code)
     subject = design.subject(deciding.limit)
     if deciding.code == "tie":
-        subject = f"the dependence of {strength_name(deciding.limit.name)}"
+        subject = f"the dependence of {deciding.limit.strength_name}"
     if remedy is None and verdict == "undecided":
         remedy = "tighten the accuracy"
     if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):

@@ -45,7 +45,7 @@ from .design import Design, demands_of, number_of_tests, strength_of
 from .failure_modes import breaks_by, means_fracture
 from .limits import state_of
 from .quantities import density
-from .tables import Tables
+from .tables import Slow, Tables
 
 #: rows of samples.csv
 MOST_ROWS = 16_384
@@ -178,7 +178,7 @@ def free_number_of(design: Design) -> FreeNumber | None:
 
 
 def _quantity(tables: Tables, name: str) -> QuantityEntry:
-    values = tables.source.values(name)
+    values = tables.values(name)
     finite = values[np.isfinite(values)]
     places = [0.05, 0.5, 0.95]
     ends = [math.nan] * len(places)
@@ -191,20 +191,19 @@ def _quantity(tables: Tables, name: str) -> QuantityEntry:
             ends[place] = answer
     low, median, high = ends
     left = pairs = None
-    slow = tables.surrogate
     if name in tables.expansions:
         expansion = tables.expansions[name]
         left = expansion.left
         pairs = _some(tables.sample.answer(name)[1:], expansion.values)
-    elif slow is not None and slow.predicted is not None:
-        response = slow.responses[name]
+    elif isinstance(tables, Slow) and tables.predicted is not None:
+        response = tables.responses[name]
         left = response.error
         pairs = _some(response.outputs, response.levels)
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
         range=(low, median, high),
-        method_of_indices=tables.source.index_method(name),
+        method_of_indices=tables.index_method(name),
         density=density(values),
         onset=onset_of(tables.design.study) if name == "p_max" else None,
         expansion_error=left,
@@ -401,7 +400,7 @@ def samples_of(tables: Tables) -> dict[str, Array | Flags]:
         state = state_of(design, limit, head)
         if isinstance(state.strength, Law):
             drawn = state.tie.score_at(generator.standard_normal(state.demands.shape))
-            table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
+            table[limit.strength_name] = state.strength.from_normal(drawn).ravel()
     table |= {name: head.outputs(name) for name in head.quantities}
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()

@@ -67,6 +67,11 @@ class Limit:
         return self.criterion, self.parameters
 
     @property
+    def strength_name(self) -> str:
+        """The path of its strength."""
+        return f"limits.{self.name}.strength"
+
+    @property
     def allowable(self) -> float:
         """The probability of exceedance at which the target is just met."""
         return float(self.missed(self.target))
@@ -361,11 +366,6 @@ def scene_with(
         hardness_at_onset="contact.hardness" in options,
         record=record,
     )
-
-
-def strength_name(limit: str) -> str:
-    """The path of a limit's strength."""
-    return f"limits.{limit}.strength"
 
 
 # --- a study while it is read ---------------------------------------------------------------------
