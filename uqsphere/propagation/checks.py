@@ -36,6 +36,7 @@ GRADES: tuple[Grade, ...] = ("ok", "note", "warning", "failure")
 class Check(CheckEntry):
     """One check, with the share of each limit's failures that breach it."""
 
+    share: float = 1.0
     failures: Mapping[str, float] = {}
 
 
@@ -45,7 +46,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
     """
     unknown = "bias not quantified"
     for note in notes:
-        yield Check(name="model", text=note, share=1.0, grade="warning", effect=unknown)
+        yield Check(name="model", text=note, grade="warning", effect=unknown)
     design = tables.design
     sample = tables.sample
     if not design.study.black_box:
@@ -83,7 +84,6 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         n = tables.runs
         yield Check(
             name="few_runs",
-            share=1.0,
             grade="note",
             text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
             effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
@@ -92,7 +92,6 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         if margins is not None and not tables.line:
             yield Check(
                 name="no_margin",
-                share=1.0,
                 grade="note",
                 text=f"no margins: along {margins.solve} the runs are too few for expansions, "
                 "these leave too much of the variance, or the model fails",
@@ -180,7 +179,6 @@ def _heavy_tails(tables: Tables) -> Iterator[Check]:
         if reason and np.isfinite(values).sum() >= 1000:
             yield Check(
                 name=f"heavy_tail_{name}",
-                share=1.0,
                 grade="warning",
                 text=f"{name}: {reason}",
                 effect="read quantiles; do not use standard deviation and indices",

@@ -163,7 +163,7 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
             break
         distances = np.abs(line.places - line.place_of(number))
         nearest = np.argmin(distances)
-        there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
+        there = distances[nearest] < _CLOSE * np.ptp(line.places)
         if there and line.samples[line.values[nearest]].count >= count:
             doubt = settled.governing
             allowed = doubt.limit.allowable

@@ -488,11 +488,10 @@ class Curves:
             for rows in (means, few, every)
         )
         change = scores(self.line, every) - scores(self.few.line, few)
-        ends = scores(self.few.line, np.quantile(means, end, axis=1))
-        moved = special.ndtr(ends + change)
+        quantiles = np.quantile(means, end, axis=1)
+        moved = special.ndtr(scores(self.few.line, quantiles) + change)
         # far out a difference of scores is no small one: the difference of the probabilities counts
         # where it moves less
-        quantiles = np.quantile(means, end, axis=1)
         added = np.clip(quantiles + every - few, 0.0, 1.0)
         milder = np.abs(added - quantiles) < np.abs(moved - quantiles)
         moved = np.where(milder, added, moved)

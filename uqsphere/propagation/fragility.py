@@ -161,8 +161,7 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     outputs = {}
     for name in design.columns:
         outputs[name] = np.stack([sample.outputs(name) for sample in samples])
-    limits = {}
-    for limit in study.limits:
-        limits[limit.name] = curve_of(tables, limit, margins.for_probability)
+    asked = margins.for_probability
+    limits = {limit.name: curve_of(tables, limit, asked) for limit in study.limits}
     failed = np.array([sample.failed.mean() for sample in samples])
     return Curves(values=np.array([*line]), outputs=outputs, limits=limits, failed=failed)

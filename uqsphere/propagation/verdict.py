@@ -202,21 +202,20 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
     if added.value is None:
         return estimate
     value = np.clip((estimate.value or 0.0) + added.value, 0.0, 1.0)
-    least, most = added.low or 0.0, added.high or 0.0
-
-    def lower(end: float | None) -> float | None:
-        return None if end is None else float(np.clip(end + least, 0.0, value))
-
-    def upper(end: float | None) -> float | None:
-        return None if end is None else float(np.clip(end + most, value, 1.0))
-
+    ends = []
+    for low, high in ((estimate.low, estimate.high), estimate.outer):
+        if high is None:
+            high = 1.0
+        ends.append(float(np.clip((low or 0.0) + (added.low or 0.0), 0.0, value)))
+        ends.append(float(np.clip(high + (added.high or 0.0), value, 1.0)))
+    low, high, low_unseen, high_unseen = ends
     return replace(
         estimate,
         value=value,
-        low=lower(estimate.low or 0.0),
-        high=upper(1.0 if estimate.high is None else estimate.high),
-        low_unseen=lower(estimate.low_unseen),
-        high_unseen=upper(estimate.high_unseen),
+        low=low,
+        high=high,
+        low_unseen=low_unseen,
+        high_unseen=high_unseen,
     )
 
 
@@ -411,15 +410,14 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
         return "no target"
     if any(caveat.code != "rate" for caveat in caveats):
         return "not established"
-    kept = [_keeps(judged, doubt) for doubt in judged.plan.doubts]
-    if all(kept):
+    doubts = judged.plan.doubts
+    kept_by = [doubt.limit.name for doubt in doubts if _keeps(judged, doubt)]
+    if len(kept_by) == len(doubts):
         # an effect on the unsafe side that nobody put a number on holds only what is met
         return "not established" if caveats else "met"
     for limit in limits:
-        doubts = zip(judged.plan.doubts, kept, strict=True)
-        its_own = [keeps for doubt, keeps in doubts if doubt.limit.name == limit.name]
         met = target_met(judged.all_modes[limit.name], limit.target)
-        if met is False and not any(its_own):
+        if met is False and limit.name not in kept_by:
             return "not met"
     return "undecided"
 

@@ -8,13 +8,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
+from uqsphere.models.model import Model
 from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results.answers import answers_csv, csv_text
@@ -65,22 +66,15 @@ PACKAGES = [
 ]
 
 
-class Cost(NamedTuple):
-    """What a run cost: model runs, those of them from the cache, and run time [s]."""
-
-    runs: int
-    reused: int
-    seconds: float
-
-
 def results_of(
     tables: Tables,
     answers: list[Answer],
     decisions: list[Decision],
     checks: Sequence[Check],
-    cost: Cost,
+    model: Model,
+    seconds: float,
 ) -> Results:
-    """What results.json holds."""
+    """What results.json holds, after so many seconds."""
     design = tables.design
     study = design.study
     return Results(
@@ -127,7 +121,9 @@ def results_of(
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],
             stopped=tables.stopped,
             inaccurate=[Shortfall(**answer._asdict()) for answer in tables.inaccurate],
-            **cost._asdict(),
+            runs=model.runs,
+            reused=model.reused,
+            seconds=seconds,
         ),
         versions=versions(),
     )
