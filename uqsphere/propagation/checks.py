@@ -70,7 +70,9 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
     if isinstance(tables, Slow):
         failed = tables.dropped or failed
     if failed > 0.0:
-        effect = {"drop": "left out", "bound": "intervals widened"}[design.on_failure]
+        effect = "left out"
+        if design.study.analysis.policy == "bound":
+            effect = "intervals widened"
         if isinstance(tables, Slow) and tables.dropped and tables.predicted is not None:
             effect = "in their place stand predictions from the runs that did not"
         yield Check(

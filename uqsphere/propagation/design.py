@@ -160,13 +160,6 @@ class Design:
             return margins.solve
         return next(limit.quantity for limit in self.limits if limit.name == margins.limit)
 
-    @property
-    def on_failure(self) -> str:
-        """What becomes of failed rows, as the estimates take it."""
-        if self.study.analysis.policy == "bound":
-            return "bound"
-        return "drop"
-
     def generator(self, task: str) -> np.random.Generator:
         """Random numbers of a task, by the seed of the study."""
         return random_generator(seed=self.study.seed, task=task)

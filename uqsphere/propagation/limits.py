@@ -124,7 +124,7 @@ def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
         demands=demands_of(limit, sample),
         strength=strength,
         censored=sample.late(column),
-        on_failure=design.on_failure,
+        on_failure=design.study.analysis.policy,
     )
     name = limit.strength_name
     if not design.study.dependence or name not in design.joint.names:

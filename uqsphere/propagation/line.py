@@ -50,8 +50,7 @@ class Line:
     @cached_property
     def rows(self) -> Sample:
         """The rows of all values, one value after the other."""
-        first, *others = self.samples.values()
-        return first.join(*others)
+        return Sample.join(*self.samples.values())
 
     @cached_property
     def places(self) -> Array:
@@ -177,8 +176,7 @@ def evaluated_at(
             parts[value] = points
     if not parts:
         return before
-    first, *others = parts.values()
-    rows = evaluate(design, model, first.join(*others))
+    rows = evaluate(design, model, Sample.join(*parts.values()))
     samples = dict(before)
     end = 0
     for value, part in parts.items():

@@ -206,7 +206,7 @@ def _evaluated(
             stopped = "time"
     if done < LEAST_ROWS:
         raise KeyboardInterrupt  # the user has stopped
-    rows = parts[0].join(*parts[1:])
+    rows = Sample.join(*parts)
     check_sizes(design, rows.answers)
     check_failures(design, rows.status[0], f"{rows.failed.sum()} of {done} rows")
     return rows, stopped

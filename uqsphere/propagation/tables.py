@@ -208,11 +208,12 @@ class Tables:
 
     def described_rows(self, name: str, method: str) -> Description:
         """The description of a quantity by the rows of the sample alone."""
+        analysis = self.design.study.analysis
         return describe(
             self.sample.answer(name),
             censored=self.sample.late(name),
-            on_failure=self.design.on_failure,
-            quantiles=self.design.study.analysis.quantiles,
+            on_failure=analysis.policy,
+            quantiles=analysis.quantiles,
             method=method,
         )
 

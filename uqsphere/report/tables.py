@@ -305,8 +305,8 @@ def quantities(results: Results) -> PageTable:
     """Distributions: one row a quantity."""
     rows = []
     entries = results.study.quantities
-    quantiles = [row for row in results.answers if row.answer == Kind.QUANTILE]
-    places = dict.fromkeys(float(row.at) for row in quantiles if row.subject in entries)
+    quantiles = itertools.chain(*(results.where(name, Kind.QUANTILE) for name in entries))
+    places = dict.fromkeys(float(row.at) for row in quantiles)
     for name in entries:
         mean = estimate(results.get(name, Kind.MEAN), name)
         sd = estimate(results.get(name, Kind.SD), name, 3)
