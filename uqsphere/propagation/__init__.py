@@ -160,9 +160,10 @@ def run(
             answers += analysis(tables)
         answers += salib_indices(tables, evaluator)
         answers += assumed_answers(judged)
-        method = "half-width over what is required"
         for runs, error in tables.reached:
-            answers.append(number_row("run", "error", runs, error, method=method))
+            answers.append(
+                number_row("run", "error", runs, error, method="half-width over what is required")
+            )
         checked = [*checks(tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
         took = round(time.monotonic() - started, 2)

@@ -292,5 +292,4 @@ def _index(expansion: Expansion, which: Flags, share: float, least: Array, most:
     error = expansion.integrals.error + expansion.beyond
     low = np.clip(lows.min() - error, 0.0, 1.0)
     high = np.clip(highs.max() + error, low, 1.0)
-    value = np.clip(values.mean(), low, high)
-    return replace(end, value=value).spanning(low, high)
+    return replace(end, value=np.clip(values.mean(), low, high)).spanning(low, high)

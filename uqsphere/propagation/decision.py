@@ -131,13 +131,13 @@ class Settled(Curves):
         """The number once a doubt is gone: the failure mode, or a limit that leaves no number, left
         out; else by the other doubts, but for contacts that yield with the same strengths.
         """
-        alone = len(self.aim.limits) == 1
-        if doubt.code == "assumed strength" or (self.number is None and not alone):
+        several = len(self.aim.limits) > 1
+        if doubt.code == "assumed strength" or (self.number is None and several):
             return Settled(aim=self.aim.without(doubt.limit.name), line=self.line).number
         rest = []
         for other in self.doubts:
-            with_its_laws = bool(doubt.laws) and bool(other.laws) and other.code == "contact law"
-            alike = other.code == doubt.code or with_its_laws
+            with_its_laws = doubt.laws and other.laws and other.code == "contact law"
+            alike = with_its_laws or other.code == doubt.code
             if other.limit.name != doubt.limit.name or not alike:
                 rest.append(other.margin)
         return self.most_conservative(rest or [None])

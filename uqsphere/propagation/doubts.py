@@ -34,7 +34,7 @@ from uqsphere.uq.fitting import (
 from uqsphere.uq.joint import FREE
 from uqsphere.uq.limit_state import make_union
 
-from .design import Design, strength_of
+from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .limits import common_factor
 from .line import Line, YieldingRows, exceedance, score
@@ -133,7 +133,7 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
     """The forces of the crushing tests behind a limit, or the observations; empty without."""
     if limit.tested is not None and limit.tested.forces:
         return limit.tested.forces
-    law = strength_of(limit)
+    law = limit.resistance
     if is_fitted(law):
         return law.data
     return ()
@@ -145,7 +145,7 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
 def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternative]:
     """Every strength of limits that may be otherwise, and every tie to the inputs."""
     for limit in limits:
-        law = strength_of(limit)
+        law = limit.resistance
         if not isinstance(law, Law):
             continue
         code: DoubtCode = "distribution"
@@ -348,10 +348,9 @@ class Curves:
         margin where too few rows carry the failures beside it.
         """
         base = self.base(limit)
-        as_it_is = Alternative(code="computation", limit=limit)
         carried_by = self._carrying(limit)
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
-        doubt = self._doubt(as_it_is, curves, base[1])
+        doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
             if max(carried_by[1][max(above - 1, 0) : above + 1]) < FEWEST:
@@ -402,8 +401,7 @@ class Curves:
         carried_by = []
         for exceeded in (alone, joint):
             failing = np.nan_to_num(exceeded if self.aim.survive else 1.0 - exceeded)
-            parts = self.line.by_value(failing)
-            carried_by.append([carriers(part) or math.inf for part in parts])
+            carried_by.append([carriers(part) or math.inf for part in self.line.by_value(failing)])
         return carried_by
 
     def _counted(self, limit: Limit) -> bool:

@@ -38,7 +38,7 @@ from uqsphere.uq.limit_state import (
     weighted_quantile,
 )
 
-from .design import Design, column_of, demands_of, strength_of
+from .design import Design, demands_of
 from .tables import Tables, input_rows
 
 #: points of a replicate that the drivers rest on at most, and the step of a score for derivatives
@@ -58,20 +58,21 @@ def limits(tables: Tables) -> Rows:
             runs += tables.rare[limit.name].estimate.evaluations
         if limit.aim != "survive":
             exceeded = complement(failed)
-        yield estimate_row(subject, "exceedance_probability", "", exceeded, runs=runs)
-        yield estimate_row(subject, "failure_probability", "", failed, runs=runs)
+        yield estimate_row(subject, "exceedance_probability", exceeded, runs=runs)
+        yield estimate_row(subject, "failure_probability", failed, runs=runs)
         index, high, low = map(reliability_index, (failed.value, *failed.outer))
         if index is not None:
-            origin = {"method": failed.method, "runs": runs}
-            yield number_row(subject, "reliability_index", "", index, low, high, **origin)
+            yield number_row(
+                subject, "reliability_index", "", index, low, high, method=failed.method, runs=runs
+            )
         ratio = safety_factor(state_of(design, limit, tables.sample))
-        yield estimate_row(subject, "safety_factor", "strength over demand", ratio, runs=runs)
+        yield estimate_row(subject, "safety_factor", ratio, "strength over demand", runs=runs)
 
 
 def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
-    column = column_of(limit)
+    column = limit.column
     sampled = failure_of_aim(state_of(design, limit, tables.sample), limit.aim)
     if limit.name in tables.rare:
         return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
@@ -118,12 +119,10 @@ def sign_of(limit: Limit) -> float:
 
 def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
     """Demands of a limit at points against its strength, with the dependence between the two."""
-    strength = strength_of(limit)
-    column = column_of(limit)
     state = LimitState(
         demands=demands_of(limit, sample),
-        strength=strength,
-        censored=sample.late(column),
+        strength=limit.resistance,
+        censored=sample.late(limit.column),
         on_failure=design.study.analysis.policy,
     )
     name = limit.strength_name
@@ -165,7 +164,7 @@ def drivers(tables: Tables) -> Rows:
         changes = change_per_sd(failure_given_inputs(state, limit), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
-                yield estimate_row(subject, "driver", name, estimate, runs=tables.runs)
+                yield estimate_row(subject, "driver", estimate, name, runs=tables.runs)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
             score = score_of(*law.tails(state.demands))
@@ -174,7 +173,7 @@ def drivers(tables: Tables) -> Rows:
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
-            yield estimate_row(subject, "driver", limit.strength_name, change, runs=tables.runs)
+            yield estimate_row(subject, "driver", change, limit.strength_name, runs=tables.runs)
 
 
 def change_per_sd(
@@ -215,7 +214,7 @@ def fracture(tables: Tables) -> Rows:
         generator,
     )
     exceeded = failure_of_aim(union_state(union), "survive")
-    yield estimate_row("fracture", "exceedance_probability", "", exceeded, runs=tables.runs)
+    yield estimate_row("fracture", "exceedance_probability", exceeded, runs=tables.runs)
     drawn = draw_breaking(union, SPECIMENS, generator)
     if drawn is None:
         return
@@ -234,13 +233,13 @@ def fracture(tables: Tables) -> Rows:
     first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
         by_mode = share(first == k, METHOD, weights=drawn.weights)
-        yield estimate_row("fracture", "mode_share", limit.name, by_mode, runs=first.size)
+        yield estimate_row("fracture", "mode_share", by_mode, limit.name, runs=first.size)
     for name in ("time", "force", "energy"):
         values = getattr(fractures, name)
         filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
         for p in (0.05, 0.5, 0.95):
             estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
-            yield estimate_row("fracture", f"{name}_at_fracture", p, estimate, runs=first.size)
+            yield estimate_row("fracture", f"{name}_at_fracture", estimate, p, runs=first.size)
 
 
 def _each_once(limits: Sequence[Limit]) -> list[Limit]:

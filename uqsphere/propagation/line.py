@@ -62,11 +62,13 @@ class Line:
     @cached_property
     def few(self) -> Line:
         """Some of the rows at each value, for doubts that take many strengths or other runs."""
-        heads = {
-            value: sample.head(max(_FEW, sample.count // _FEW_SHARE))
-            for value, sample in self.samples.items()
-        }
-        return replace(self, samples=heads)
+        return replace(
+            self,
+            samples={
+                value: sample.head(max(_FEW, sample.count // _FEW_SHARE))
+                for value, sample in self.samples.items()
+            },
+        )
 
     @cached_property
     def _counts(self) -> list[int]:

@@ -36,7 +36,7 @@ from uqsphere.uq.estimate import SURE, spread
 
 from .checks import Check, caveats_of
 from .decision import Settled, settled_accurately
-from .design import Design, number_of_tests, strength_of
+from .design import Design, number_of_tests
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import means_fracture
 from .limits import failure
@@ -394,7 +394,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         governs=doubt.key == settled.governing.key,
         counts=code != "assumed strength" or limit in [mode.limit for mode in aim.modes],
         joint=code != "assumed strength" and settled.adds_up(limit),
-        tests=number_of_tests(strength_of(limit)),
+        tests=number_of_tests(limit.resistance),
     )
 
 
@@ -543,7 +543,7 @@ def assumed_answers(judged: Sequence[Judged]) -> Rows:
 def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
     aim = judged.aim
     limit = doubt.limit
-    law = strength_of(doubt.limit)
+    law = doubt.limit.resistance
     subject = aim.design.subject(limit)
     margins = aim.design.study.margins
     low = high = None

@@ -42,7 +42,7 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law
 
 from .checks import Check
-from .design import Design, demands_of, number_of_tests, strength_of
+from .design import Design, demands_of, number_of_tests
 from .failure_modes import breaks_by, means_fracture
 from .limits import state_of
 from .quantities import density
@@ -266,7 +266,7 @@ def _test_points(tables: Tables, limit: Limit) -> list[list[float]] | None:
     Meier, in the middle of its step.  Tests beyond the range of the free number are left out.  None
     for a strength without tests, and without [margins].
     """
-    law = strength_of(limit)
+    law = limit.resistance
     if not isinstance(law, Law) or not law.data or len(tables.line) < 2:
         return None
     strengths = np.array([*law.data, *law.censored])

@@ -123,8 +123,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False)
-    width = axes.get_window_extent().width
-    letter = LETTER * axes.figure.dpi / 72.0 / width * (high - low)
+    letter = LETTER * axes.figure.dpi / 72.0 / axes.get_window_extent().width * (high - low)
     for row, (place, height, text) in enumerate(sorted(names)):
         half = 0.5 * letter * len(text)
         inside = max(min(place, high - half), low + half)

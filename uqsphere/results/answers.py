@@ -24,7 +24,7 @@ COLUMNS = tuple(Answer.model_fields)
 
 
 def estimate_row(
-    subject: str, answer: str, at: float | str, estimate: Estimate, **origin: Any
+    subject: str, answer: str, estimate: Estimate, at: float | str = "", **origin: Any
 ) -> Answer:
     """A row of an estimate, with its runs; one without a value leaves its reason as the note."""
     low, high = estimate.outer
