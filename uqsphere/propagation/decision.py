@@ -9,6 +9,7 @@ there as the study asks.
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -133,7 +134,7 @@ class Settled(Curves):
         """
         several = len(self.aim.limits) > 1
         if doubt.code == "assumed strength" or (self.number is None and several):
-            return Settled(aim=self.aim.without(doubt.limit.name), line=self.line).number
+            return replace(self, aim=self.aim.without(doubt.limit.name)).number
         rest = []
         for other in self.doubts:
             with_its_laws = doubt.laws and other.laws and other.code == "contact law"

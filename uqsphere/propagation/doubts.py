@@ -281,7 +281,7 @@ class Curves:
     @cached_property
     def few(self) -> Curves:
         """The same on some of the rows."""
-        return Curves(aim=self.aim, line=self.line.few)
+        return replace(self, line=self.line.few)
 
     @cached_property
     def _bases(self) -> dict[str, Array]:

@@ -129,7 +129,7 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
                         settled = settled_accurately(model, aim, line, end)
             if tables.line:
                 tables = replace(tables, line=settled.line.samples)
-        probability = _at_plan(tables, Curves(aim=replace(aim, modes=()), line=plan.line))
+        probability = _at_plan(tables, replace(plan, aim=replace(aim, modes=())))
         if aim.survive:
             for mode in design.modes:
                 probability[mode.limit.name] = failure(tables, mode.limit)
@@ -229,23 +229,25 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     governing = settled.governing
     subject = aim.design.subject(governing.limit)
     lead = judged.lead
-    none_to_use = settled.number is None or judged.contradicted
     caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
     library = _library(judged)
     target = all_modes = own = None
-    curve = []
-    if judged.line is not None:
-        if not judged.contradicted:
-            own = _own(judged)
-        points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
-        curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.limits[0].has_target:
         target = lead.target
         if governing.code == "assumed strength":
             target = governing.limit.target
     else:
         subject = aim.design.subject(lead)
+    blocked_by = ""
+    curve = []
+    if judged.line is not None:
+        if settled.number is None or judged.contradicted:
+            blocked_by = subject
+        if not judged.contradicted:
+            own = _own(judged)
+        points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
+        curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.modes:
         all_modes = _range(judged.all_modes[lead.name])
     return Decision(
@@ -256,7 +258,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         target=target,
         governing=subject,
         use=_use(judged, library),
-        blocked_by=subject if judged.line is not None and none_to_use else "",
+        blocked_by=blocked_by,
         own=own,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
@@ -321,8 +323,8 @@ def _band(settled: Settled) -> list[CurvePoint]:
 def _own(judged: Judged) -> types.Doubt:
     """What sets the number to use where the study's own limits are judged alone."""
     alone = replace(judged.aim, modes=())
-    plan = Settled(aim=alone, line=judged.plan.line)
-    line = Settled(aim=alone, line=judged.settled.line)
+    plan = replace(judged.plan, aim=alone)
+    line = replace(judged.settled, aim=alone)
     judged = replace(judged, plan=plan, line=line, all_modes=judged.probability)
     return _row(judged, judged.settled.setting)
 
@@ -340,7 +342,7 @@ def _library(judged: Judged) -> LibraryRange | None:
     for law in (mode.weak, mode.strong):
         other = replace(mode, limit=replace(mode.limit, strength=law))
         taken = replace(rest, modes=(*rest.modes, other))
-        numbers.append(Settled(aim=taken, line=settled.line).number)
+        numbers.append(replace(settled, aim=taken).number)
     weak, strong = numbers
     return LibraryRange(mode=mode.called, middle=settled.number, weak=weak, strong=strong)
 
@@ -515,10 +517,9 @@ def _disagreeing(judged: Judged) -> Doubt:
     computed = doubts[0]
     limit = computed.limit
     met = target_met(judged.all_modes[limit.name], limit.target)
-    others = [doubt for doubt in doubts if _keeps(judged, doubt) != met]
-    if met is None or not others:
+    if met is None:
         return computed
-    return others[0]
+    return next((doubt for doubt in doubts if _keeps(judged, doubt) != met), computed)
 
 
 # --- rows of answers ------------------------------------------------------------------------------
@@ -543,9 +544,8 @@ def assumed_answers(judged: Sequence[Judged]) -> Rows:
 def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
     aim = judged.aim
     limit = doubt.limit
-    law = doubt.limit.resistance
+    law = limit.resistance
     subject = aim.design.subject(limit)
-    margins = aim.design.study.margins
     low = high = None
     note = ""
     if doubt.opposite is None:
@@ -579,7 +579,7 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         note=note,
     )
     margin = judged.along(doubt)
-    if margins is not None and margin is not None and math.isfinite(margin):
+    if margin is not None and math.isfinite(margin):
         yield number_row(
             subject,
             "margin",
