@@ -227,18 +227,17 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     settled = judged.settled
     aim = judged.aim
     governing = settled.governing
-    subject = aim.design.subject(governing.limit)
     lead = judged.lead
     caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
     library = _library(judged)
     target = all_modes = own = None
+    subject = aim.design.subject(lead)
     if aim.limits[0].has_target:
+        subject = aim.design.subject(governing.limit)
         target = lead.target
         if governing.code == "assumed strength":
             target = governing.limit.target
-    else:
-        subject = aim.design.subject(lead)
     blocked_by = ""
     curve = []
     if judged.line is not None:

@@ -66,33 +66,31 @@ def value_range(low: float | None, high: float | None, name: str) -> str:
     return f"{first.removesuffix(f' {unit}')} to {last}"
 
 
-def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
+def estimate(row: Estimated, name: str = "", most: int = 4) -> str:
     """Value (low to high) with the unit; a dash with the reason if there is no value.
 
     >>> estimate(Range(value=0.5, low=0.49, high=0.51))
     '0.500 (0.490 to 0.510)'
     """
-    if row is None:
-        return DASH
     if row.value is None:
         return f"{DASH} ({row.note})".removesuffix(" ()")
     return format_estimate(row.value, row.low, row.high, name, most)
 
 
-def index(row: Estimated | None) -> str:
+def index(row: Estimated) -> str:
     """A Sobol' index with its interval, to three decimals."""
-    if row is None or row.value is None:
+    if row.value is None:
         return DASH
     return format_index(row.value, row.low, row.high)
 
 
-def probability(row: Estimated | None) -> str:
+def probability(row: Estimated) -> str:
     """A probability in per cent with its interval; a bound if only that is known.
 
-    >>> probability(Range(value=0.0, low=0.0, high=1e-3)), probability(None)
+    >>> probability(Range(value=0.0, low=0.0, high=1e-3)), probability(Range())
     ('below 0.1 %', '–')
     """
-    if row is None or (row.value is None and row.high is None):
+    if row.value is None and row.high is None:
         return DASH
     return format_probability_estimate(row.value, row.low, row.high)
 

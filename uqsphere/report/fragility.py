@@ -62,7 +62,7 @@ class Curve(NamedTuple):
     p: Array
     colour: str
     style: tuple[Any, float]
-    at_plan: Estimated | None
+    at_plan: Estimated
 
 
 class _Label(NamedTuple):
@@ -84,8 +84,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     }
 
     def exceeded(subject: str) -> float:
-        p = at_plan[subject]
-        return (p and p.value) or 0.0
+        return at_plan[subject].value or 0.0
 
     kept = sorted(at_plan, key=exceeded, reverse=True)[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}

@@ -9,7 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Names
 from uqsphere.quantities import display_unit, format_probability, format_together
-from uqsphere.results.types import Kind, QuantityEntry, Range, Results
+from uqsphere.results.types import Kind, QuantityEntry, Results
 
 from .format import ends_of, meaning, with_unit
 
@@ -194,8 +194,7 @@ def indices_of(results: Results, quantities: Names) -> list[Indices]:
     for quantity in quantities:
         orders = []
         for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
-            rows = [results.get(quantity, kind, name) or Range() for name in inputs]
-            orders.append(ends_of(rows))
+            orders.append(ends_of(results.get(quantity, kind, name) for name in inputs))
         if np.isfinite(orders[1][0]).any():
             name = meaning(quantity).removeprefix("equivalent ")
             columns.append(Indices(name, names, *orders))

@@ -164,7 +164,7 @@ def limits(results: Results) -> PageTable:
         p = probability(results.get(subject, Kind.EXCEEDANCE_PROBABILITY))
         beta = results.get(subject, Kind.RELIABILITY_INDEX)
         cells = [label(subject), p, DASH]
-        if beta is not None and beta.value is not None:
+        if beta.value is not None:
             # of the probability beside it
             cells[2] = f"{-beta.value if entry.aim == 'break' else beta.value:.2f}"
         if free is not None:
@@ -205,9 +205,9 @@ def limits(results: Results) -> PageTable:
 
 def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
-    row = results.get(subject, Kind.MARGIN, entry.allowable)
-    if row is None:
+    if not results.where(subject, Kind.MARGIN):
         return DASH
+    row = results.get(subject, Kind.MARGIN, entry.allowable)
     if row.value is None:
         return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
     return value(row.value, free.quantity)
@@ -276,19 +276,18 @@ def assumptions(results: Results) -> PageTable:
 
 def fracture(results: Results) -> PageTable:
     """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
-    joint = results.get("fracture", Kind.EXCEEDANCE_PROBABILITY)
-    if joint is None:
-        return PageTable()
-    rows = [("fracture probability", probability(joint))]
+    rows = []
+    for row in results.where("fracture", Kind.EXCEEDANCE_PROBABILITY):
+        rows.append(("fracture probability", probability(row)))
     for row in results.where("fracture", Kind.MODE_SHARE):
         rows.append((f"first failure mode: {row.at}", probability(row)))
     for kind, quantity in (
         (Kind.TIME_AT_FRACTURE, "contact_duration"),
         (Kind.FORCE_AT_FRACTURE, "P_max"),
     ):
-        median = results.get("fracture", kind, 0.5)
-        if median is not None:
-            rows.append((f"{kind.replace('_', ' ')}, median", estimate(median, quantity)))
+        for row in results.where("fracture", kind):
+            if row.at == 0.5:
+                rows.append((f"{kind.replace('_', ' ')}, median", estimate(row, quantity)))
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),

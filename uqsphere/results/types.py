@@ -607,9 +607,9 @@ class Results(Part):
         limits = {f"limits.{name}": entry for name, entry in self.study.limits.items()}
         return limits | {f"modes.{name}": entry for name, entry in self.study.modes.items()}
 
-    def get(self, subject: str, answer: Kind, at: float | str = "") -> Answer | None:
-        """The row of an answer, None where there is none."""
-        return next((row for row in self.where(subject, answer) if row.at == at), None)
+    def get(self, subject: str, answer: Kind, at: float | str = "") -> Answer | Range:
+        """The row of an answer; an empty range where there is none."""
+        return next((row for row in self.where(subject, answer) if row.at == at), Range())
 
     def where(self, subject: str, answer: Kind) -> list[Answer]:
         """All rows of an answer, in the order of their places."""
