@@ -12,9 +12,9 @@ tests.  So the scatter of E and nu in the tests is never counted a second time.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -175,17 +175,11 @@ class Design:
         """
         return at_normals(joint or self.drawn, self.normals(count, start))
 
-    def many_normals(self, count: int) -> Array:
+    @cached_property
+    def many_normals(self) -> Callable[[int], Array]:
         """The same for as many points as an expansion is evaluated at; those of one count are
         kept."""
-        if count not in self._many:
-            self._many.clear()
-            self._many[count] = self.normals(count)
-        return self._many[count]
-
-    @cached_property
-    def _many(self) -> dict[int, Array]:
-        return {}
+        return lru_cache(maxsize=1)(self.normals)
 
     def normals(self, count: int, start: int = 0) -> Array:
         """The points as independent standard normals (R, count, D)."""

@@ -118,7 +118,7 @@ class _Promise:
     def places(self, uniforms: Array) -> Iterator[Array]:
         """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
         settled = self.settled
-        line = self.settled.line
+        line = settled.line
         logs, leaving = self._series(uniforms)
         stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
         added = partial(self.added, stronger)

@@ -294,9 +294,8 @@ def _lines(
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     answers = rows.answers[0]
     good = np.isfinite(answers).all(axis=1)
-    if good.sum() < LEAST_ROWS:
-        return {}, {}
-    if not good.all() and lie_apart(places[~good], places[good]):
+    enough = good.sum() >= LEAST_ROWS
+    if not enough or (not good.all() and lie_apart(places[~good], places[good])):
         return {}, {}
     fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
     if not all(response.usable for response in fits):

@@ -423,5 +423,7 @@ def write_run(
 
     try:
         files |= page_files(results, [*files])
-    finally:
+    except Exception:
         write_files(folder, files)  # a fault of a figure costs no results
+        raise
+    write_files(folder, files)

@@ -444,10 +444,9 @@ def random_inputs(results: Results) -> PageTable:
     rows = []
     for name, entry in results.inputs.items():
         if not entry.fixed:
-            sd = value(entry.sd, name)
             span = value_range(entry.p05, entry.p95, name)
             title, mean, source = _input(name, entry)
-            rows.append((title, entry.distribution, mean, sd, span, source))
+            rows.append((title, entry.distribution, mean, value(entry.sd, name), span, source))
     return PageTable(
         "Random inputs",
         ("input", "distribution", "mean", "sd", "5–95 % range", "source"),
