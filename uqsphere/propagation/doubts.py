@@ -21,7 +21,7 @@ from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
+from uqsphere.uq.estimate import ENDS, carriers, fold_spread, probability_ends, spread, spreads
 from uqsphere.uq.fitting import (
     STRENGTHS,
     count_tests,
@@ -303,6 +303,10 @@ class Curves:
         """The mean exceedance (K,) of a limit with the other failure modes."""
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
+    def _unsafe_above(self, curve: Array) -> bool:
+        """Whether larger values of the free number are the unsafe ones, by a curve (K,)."""
+        return bool((curve[-1] >= curve[0]) == self.aim.survive)
+
     def margin(self, limit: Limit, curve: Array) -> float | None:
         """The value of the free number at which a curve (K,) of a limit misses its target, seen
         from the safe end.
@@ -318,7 +322,7 @@ class Curves:
         if not missed.size:
             return math.inf
         k = missed[-1] + 1
-        if (curve[-1] >= curve[0]) == self.aim.survive:
+        if self._unsafe_above(curve):
             k = missed[0]
         if k in (0, len(curve)):
             return None
@@ -350,12 +354,36 @@ class Curves:
         base = self.base(limit)
         carried_by = self._carrying(limit)
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
+        if self.line.folds:
+            curves = self._by_folds(limit, curves)
         doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
             if max(carried_by[1][max(above - 1, 0) : above + 1]) < FEWEST:
                 return replace(doubt, margin=None)
         return doubt
+
+    def _by_folds(self, limit: Limit, curves: Sequence[Array]) -> list[Array]:
+        """Curves (K,) of a limit by a slow model, moved along the free number to the safe side by
+        what its expansions disagree by on where the target is missed.
+        """
+        folds = Curves(aim=self.aim, line=replace(self.line, samples=self.line.folds, folds={}))
+        margins = [self.margin(limit, curve) for curve in folds.base(limit)[1].T]
+        places = self.line.places
+        safe, unsafe = places[0], places[-1]
+        if not self._unsafe_above(curves[1]):
+            safe, unsafe = unsafe, safe
+        missed_at = []
+        for margin in margins:
+            if margin is None:
+                missed_at.append(safe)
+            elif margin == math.inf:
+                missed_at.append(unsafe)
+            else:
+                missed_at.append(self.line.place_of(margin))
+        further = math.copysign(fold_spread(np.array(missed_at)), unsafe - safe)
+        there = np.clip(places + further, places[0], places[-1])
+        return [special.ndtr(self.line.interpolated(score(curve))(there)) for curve in curves]
 
     def _ends(self, limit: Limit, means: Array, carried_by: Sequence[float]) -> Array:
         """The unsafe ends (K,) of the numerical intervals of probabilities (K, R) of a limit that
@@ -388,7 +416,7 @@ class Curves:
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
         from_unsafe = slice(None)
-        if (means[-1] >= means[0]) == survive:
+        if self._unsafe_above(means):
             from_unsafe = slice(None, None, -1)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
 

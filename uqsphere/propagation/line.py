@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,10 +37,12 @@ class Line:
     """Rows at rising values of the free number, or at the plan alone.
 
     samples : the rows at each of K values; at nan for the plan
+    folds : what each expansion of a slow model predicts at the same points; else empty
     """
 
     design: Design
     samples: Mapping[float, Sample]
+    folds: Mapping[float, Sample] = field(default_factory=dict)
 
     @cached_property
     def values(self) -> tuple[float, ...]:
@@ -155,7 +157,7 @@ def line_of(tables: Tables) -> Line | None:
         samples = dict.fromkeys(grid(margins), tables.sample.head(_SHARED))
     if not samples:
         return None
-    return Line(design=tables.design, samples=samples)
+    return Line(design=tables.design, samples=samples, folds=tables.fold_line)
 
 
 def evaluated_at(
