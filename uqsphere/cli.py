@@ -612,7 +612,7 @@ def _history(options: Namespace) -> None:
     print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
     if options.out is not None:
         with locked(options.out):
-            for name in write_history(study, course, options.out):
+            for name in write_history(course, options.out):
                 print(f"wrote {options.out / name}")
 
 

@@ -24,7 +24,7 @@ from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.design import Design, column_of, strength_of
+from uqsphere.propagation.design import Design
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import Line
 from uqsphere.propagation.promise import gains_of
@@ -87,7 +87,7 @@ def _number(settled: Settled) -> float:
 
 
 def _strength(limit: Limit) -> tuple[Law, Tested]:
-    law, tested = strength_of(limit), limit.tested
+    law, tested = limit.resistance, limit.tested
     assert isinstance(law, Law)
     assert tested is not None
     return law, tested
@@ -126,7 +126,7 @@ def _held_against(design: Design, today: Settled, sample: Sample) -> Sample:
     before = {limit.name: limit for limit in today.aim.design.limits}
     for limit in design.limits:
         tested, earlier = _strength(limit)[1], _strength(before[limit.name])[1]
-        column = sample.quantities.index(column_of(limit))
+        column = sample.quantities.index(limit.column)
         ratio = tested.diameter / (2.0 * radius)
         earlier_ratio = earlier.diameter / (2.0 * radius)
         answers[:, :, column] *= ratio**tested.exponent / earlier_ratio**earlier.exponent

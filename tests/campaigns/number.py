@@ -22,7 +22,7 @@ from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.design import Design, at_normals, demands_of, strength_of
+from uqsphere.propagation.design import Design, at_normals, demands_of
 from uqsphere.propagation.doubts import LAWS, Doubt
 from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.free_number import moved
@@ -149,7 +149,7 @@ def _others(settled: Settled, limit: Limit, sample: Sample, rng: np.random.Gener
         if counted and limit not in group:
             further.append(counted[0])
     for other in further:
-        law = strength_of(other)
+        law = other.resistance
         strengths = law.ppf(rng.random(sample.size)) if isinstance(law, Law) else law
         broken |= demands_of(other, sample).ravel() > strengths
     return broken
@@ -164,7 +164,7 @@ def _exceeded(
     series: int,
 ) -> tuple[float, float, float]:
     """Probability of exceedance, its standard error, and that of the run by its few strengths."""
-    law = strength_of(doubt.limit)
+    law = doubt.limit.resistance
     if doubt.code == "tests" and isinstance(law, Law):
         return _by_tests(doubt, law, demands, others, rng, series)
     if doubt.code == "distribution" and isinstance(law, Law):

@@ -12,7 +12,6 @@ from scipy import stats
 from tables_of import tables_of
 
 from uqsphere.propagation.limits import _each_once, failure, limits
-from uqsphere.results import Answers
 from uqsphere.results.types import Kind
 from uqsphere.study import Study, load_study
 
@@ -51,10 +50,10 @@ def test_a_failure_probability_is_that_of_the_closed_form(strength, aim, truth):
 
 def test_rows_of_a_limit_agree_with_each_other():
     tables = tables_of(study(NORMAL), load)
-    answers = Answers(limits(tables))
-    failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
-    exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
-    index = answers.get("limits.high", Kind.RELIABILITY_INDEX)
+    answers = {row.answer: row for row in limits(tables)}
+    failed = answers[Kind.FAILURE_PROBABILITY]
+    exceeded = answers[Kind.EXCEEDANCE_PROBABILITY]
+    index = answers[Kind.RELIABILITY_INDEX]
     assert failed.value == exceeded.value
     assert index.value == pytest.approx(stats.norm.isf(failed.value), rel=1e-9)
     assert index.low == pytest.approx(stats.norm.isf(failed.high), rel=1e-9)
@@ -63,9 +62,9 @@ def test_rows_of_a_limit_agree_with_each_other():
 
 def test_exceedance_is_the_complement_where_the_sphere_must_break():
     tables = tables_of(study(NORMAL, "break"), load)
-    answers = Answers(limits(tables))
-    failed = answers.get("limits.high", Kind.FAILURE_PROBABILITY)
-    exceeded = answers.get("limits.high", Kind.EXCEEDANCE_PROBABILITY)
+    answers = {row.answer: row for row in limits(tables)}
+    failed = answers[Kind.FAILURE_PROBABILITY]
+    exceeded = answers[Kind.EXCEEDANCE_PROBABILITY]
     assert exceeded.value == pytest.approx(1.0 - failed.value, rel=1e-12)
 
 

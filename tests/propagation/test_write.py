@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +11,7 @@ from scipy import stats
 from tables_of import tables_of
 
 from uqsphere.propagation.design import Design
-from uqsphere.propagation.write import Cost, cells_of, free_number_of, results_of, samples_of
+from uqsphere.propagation.write import cells_of, free_number_of, results_of, samples_of
 from uqsphere.results.answers import answers_csv, csv_text, frame_of
 from uqsphere.results.types import Answer, Kind
 from uqsphere.study import Study, load_study
@@ -33,8 +35,8 @@ def model(x):
 
 def results(of):
     tables = tables_of(of, model)
-    cost = Cost(runs=7, reused=3, seconds=1.23)
-    return results_of(tables, [], [], [], cost)
+    used = SimpleNamespace(runs=7, reused=3)
+    return results_of(tables, [], [], [], used, 1.23)
 
 
 def test_inputs_have_the_numbers_of_their_distributions():

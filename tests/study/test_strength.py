@@ -18,7 +18,7 @@ from uqsphere.errors import StudyError
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.crushing import Demand, force_at, value_at
 from uqsphere.models.model import Model
-from uqsphere.propagation.design import Design, column_of, demands_of, strength_of
+from uqsphere.propagation.design import Design, demands_of
 from uqsphere.propagation.tables import evaluate, with_number
 from uqsphere.report.study import described
 from uqsphere.study import Limit, Study, load_study
@@ -248,7 +248,7 @@ def evaluated(
     study = load_study(tmp_path / "s.toml", text=BASALT % (*scatter, rig, demand))
     design = Design.of(study)
     sample = evaluate(design, Model(design.study), design.points(8))
-    return study.limits[0], sample, sample.answer(column_of(study.limits[0]))
+    return study.limits[0], sample, sample.answer(study.limits[0].column)
 
 
 @pytest.mark.parametrize("contact", ["", PLASTIC], ids=["elastic", "yielding"])
@@ -401,10 +401,8 @@ def test_pellets_and_a_hammer_are_those_by_hand(case: str, tmp_path: Path) -> No
     names = ("sphere.E", "sphere.radius", "rig.drop_height" if case == "pellets" else "rig.speed")
     normals = np.array([sample.scores[:, :, sample.names.index(name)].ravel() for name in names])
     rows, share = (by_hand_of_pellets if case == "pellets" else by_hand_of_a_hammer)(normals)
-    assert sample.answer(column_of(limit)).ravel() == pytest.approx(rows, rel=2e-3)
-    assert strength_of(limit).cdf(demands_of(limit, sample)).mean() == pytest.approx(
-        share, rel=0.01
-    )
+    assert sample.answer(limit.column).ravel() == pytest.approx(rows, rel=2e-3)
+    assert limit.resistance.cdf(demands_of(limit, sample)).mean() == pytest.approx(share, rel=0.01)
 
 
 def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) -> None:
@@ -427,7 +425,7 @@ def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) 
         if moves:
             points = with_number(points, "sphere.radius", radius)
         sample = evaluate(design, Model(design.study), points)
-        forces.append(sample.answer(column_of(study.limits[0])))
+        forces.append(sample.answer(study.limits[0].column))
     assert forces[0] == pytest.approx(forces[1], rel=1e-9)
     assert forces[2] != pytest.approx(forces[1], rel=1e-3)
 

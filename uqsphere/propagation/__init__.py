@@ -37,7 +37,7 @@ from .quantities import distributions, indices, salib_indices
 from .rare import design_points
 from .tables import Tables
 from .verdict import assumed_answers, decision_of, judge
-from .write import Cost, results_of, samples_of, write_run
+from .write import results_of, samples_of, write_run
 
 __all__ = ["run"]
 
@@ -160,18 +160,15 @@ def run(
             answers += analysis(tables)
         answers += salib_indices(tables, evaluator)
         answers += assumed_answers(judged)
-        method = "half-width over what is required"
         for runs, error in tables.reached:
-            answers.append(number_row("run", "error", runs, error, method=method))
+            answers.append(
+                number_row("run", "error", runs, error, method="half-width over what is required")
+            )
         checked = [*checks(tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
-        cost = Cost(
-            runs=evaluator.runs,
-            reused=evaluator.reused,
-            seconds=round(time.monotonic() - started, 2),
-        )
-        results = results_of(tables, answers, decisions, checked, cost)
-        write_log(out, f"ended: {tables.stopped} after {cost.seconds:.1f} s")
+        took = round(time.monotonic() - started, 2)
+        results = results_of(tables, answers, decisions, checked, evaluator, took)
+        write_log(out, f"ended: {tables.stopped} after {took:.1f} s")
         samples = samples_of(tables)
         if out is not None:
             write_run(out, study, results, samples)

@@ -80,18 +80,9 @@ class Expansion:
     left: float
     beyond: float
 
-    def projection(self, which: Flags, share: float) -> tuple[Array, Array]:
-        """Numerators (R-1,) of the index of some terms (T,) and variances (R-1,), before what is
-        left is added.
-
-        share : of the expansion's own variance that belongs to these terms
-        """
-        coefficients = self.fit.plain_form.coefficients[which]
-        part = share * self.fit.integrals.sd**2 + 2.0 * self.cross[:, which] @ coefficients
-        return part, self._variances
-
     @cached_property
-    def _variances(self) -> Values:
+    def variances(self) -> Values:
+        """Variances (R-1,) of the quantity: of the expansion, corrected by the rows."""
         rest = self.residuals - self.residuals.mean()
         off = self.values[:, : rest.shape[1]] - self.fit.integrals.mean
         return self.fit.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1)
@@ -282,10 +273,13 @@ def _index(expansion: Expansion, which: Flags, share: float, least: Array, most:
     what its residuals have of the index, `least` to `most` (R-1,).  The value is the middle of
     both.
     """
-    numerators, variances = expansion.projection(which, share)
+    # of the expansion's own part and its product with the residuals, before what is left is added
+    coefficients = expansion.fit.plain_form.coefficients[which]
+    own = share * expansion.fit.integrals.sd**2
+    numerators = own + 2.0 * expansion.cross[:, which] @ coefficients
     ends = []
     for rest in (least, most):
-        ratio, off = ratio_of_means(numerators + rest, variances)
+        ratio, off = ratio_of_means(numerators + rest, expansion.variances)
         end = from_replicates(ratio + off, METHOD, expansion.residuals.size, float(ratio))
         if end.value is None or end.low is None or end.high is None:
             return end
@@ -294,5 +288,4 @@ def _index(expansion: Expansion, which: Flags, share: float, least: Array, most:
     error = expansion.fit.integrals.error + expansion.beyond
     low = np.clip(lows.min() - error, 0.0, 1.0)
     high = np.clip(highs.max() + error, low, 1.0)
-    value = np.clip(values.mean(), low, high)
-    return replace(end, value=value).spanning(low, high)
+    return replace(end, value=np.clip(values.mean(), low, high)).spanning(low, high)

@@ -11,7 +11,7 @@ import numpy as np
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability
 from uqsphere.results.types import Caveat, CheckEntry, Grade
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.study.values import FARTHEST_SIZE
 from uqsphere.uq import Law
 from uqsphere.uq.describe import heavy_tail
@@ -21,7 +21,7 @@ from .decision import Settled
 from .design import Design
 from .limits import failure_given_inputs
 from .line import Line, plan_of
-from .tables import Tables, input_rows
+from .tables import Slow, Tables, input_rows
 
 #: rows that are checked
 ROWS = 512
@@ -36,6 +36,7 @@ GRADES: tuple[Grade, ...] = ("ok", "note", "warning", "failure")
 class Check(CheckEntry):
     """One check, with the share of each limit's failures that breach it."""
 
+    share: float = 1.0
     failures: Mapping[str, float] = {}
 
 
@@ -45,7 +46,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
     """
     unknown = "bias not quantified"
     for note in notes:
-        yield Check(name="model", text=note, share=1.0, grade="warning", effect=unknown)
+        yield Check(name="model", text=note, grade="warning", effect=unknown)
     design = tables.design
     sample = tables.sample
     if not design.study.black_box:
@@ -65,13 +66,14 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         _, rows = input_rows(plan.rows)
         yield from _later_loading(design, rows)
         yield from _out_of_reach(design, rows)
-    slow = tables.surrogate
     failed = sample.failed.mean()
-    if slow is not None:
-        failed = slow.dropped or failed
+    if isinstance(tables, Slow):
+        failed = tables.dropped or failed
     if failed > 0.0:
-        effect = {"drop": "left out", "bound": "intervals widened"}[design.on_failure]
-        if slow is not None and slow.dropped and slow.predicted is not None:
+        effect = "left out"
+        if design.study.analysis.policy == "bound":
+            effect = "intervals widened"
+        if isinstance(tables, Slow) and tables.dropped and tables.predicted is not None:
             effect = "in their place stand predictions from the runs that did not"
         yield Check(
             name="failed_rows",
@@ -80,11 +82,10 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             text=f"{format_probability(failed)} of the model runs failed",
             effect=effect,
         )
-    if slow is not None:
+    if isinstance(tables, Slow):
         n = tables.runs
         yield Check(
             name="few_runs",
-            share=1.0,
             grade="note",
             text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
             effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
@@ -93,7 +94,6 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         if margins is not None and not tables.line:
             yield Check(
                 name="no_margin",
-                share=1.0,
                 grade="note",
                 text=f"no margins: along {margins.solve} the runs are too few for expansions, "
                 "these leave too much of the variance, or the model fails",
@@ -181,7 +181,6 @@ def _heavy_tails(tables: Tables) -> Iterator[Check]:
         if reason and np.isfinite(values).sum() >= 1000:
             yield Check(
                 name=f"heavy_tail_{name}",
-                share=1.0,
                 grade="warning",
                 text=f"{name}: {reason}",
                 effect="read quantiles; do not use standard deviation and indices",
@@ -220,7 +219,7 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
         if path.startswith(ours) or not path.startswith("limits."):
             yield Caveat.model_validate({"code": code, "subject": path, "text": text})
     # limits on the same tests rest on one set of synthetic data
-    names = [strength_name(group[0].name) for group in settled.aim.groups]
+    names = [group[0].strength_name for group in settled.aim.groups]
     for name in dict.fromkeys([*names, *design.inputs]):
         if name in design.study.made_up:
             yield Caveat(code="synthetic tests", subject=name)

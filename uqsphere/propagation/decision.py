@@ -9,6 +9,7 @@ there as the study asks.
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -121,17 +122,23 @@ class Settled(Curves):
         candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
         return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
 
+    def is_safe(self, value: float, margin: float) -> bool:
+        """Whether a value of the free number lies on the safe side of a margin."""
+        if self.safe_above and margin != math.inf:
+            return value >= margin
+        return value <= margin
+
     def once_gone(self, doubt: Doubt) -> float | None:
         """The number once a doubt is gone: the failure mode, or a limit that leaves no number, left
         out; else by the other doubts, but for contacts that yield with the same strengths.
         """
-        alone = len(self.aim.limits) == 1
-        if doubt.code == "assumed strength" or (self.number is None and not alone):
-            return Settled(aim=self.aim.without(doubt.limit.name), line=self.line).number
+        several = len(self.aim.limits) > 1
+        if doubt.code == "assumed strength" or (self.number is None and several):
+            return replace(self, aim=self.aim.without(doubt.limit.name)).number
         rest = []
         for other in self.doubts:
-            with_its_laws = bool(doubt.laws) and bool(other.laws) and other.code == "contact law"
-            alike = other.code == doubt.code or with_its_laws
+            with_its_laws = doubt.laws and other.laws and other.code == "contact law"
+            alike = with_its_laws or other.code == doubt.code
             if other.limit.name != doubt.limit.name or not alike:
                 rest.append(other.margin)
         return self.most_conservative(rest or [None])
@@ -157,7 +164,7 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
             break
         distances = np.abs(line.places - line.place_of(number))
         nearest = np.argmin(distances)
-        there = distances[nearest] < _CLOSE * (line.places[-1] - line.places[0])
+        there = distances[nearest] < _CLOSE * np.ptp(line.places)
         if there and line.samples[line.values[nearest]].count >= count:
             doubt = settled.governing
             allowed = doubt.limit.allowable

@@ -12,9 +12,9 @@ tests.  So the scatter of E and nu in the tests is never counted a second time.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -131,7 +131,7 @@ class Design:
     @cached_property
     def explained(self) -> tuple[str, ...]:
         """Those with indices: not what is held against a force of tests, where E and nu cancel."""
-        held = {limit.quantity for limit in self.limits if by_force(limit)}
+        held = {limit.quantity for limit in self.limits if limit.by_force}
         held -= {*self.study.analysis.quantities}
         return tuple(name for name in self.described if name not in held)
 
@@ -160,13 +160,6 @@ class Design:
             return margins.solve
         return next(limit.quantity for limit in self.limits if limit.name == margins.limit)
 
-    @property
-    def on_failure(self) -> str:
-        """What becomes of failed rows, as the estimates take it."""
-        if self.study.analysis.policy == "bound":
-            return "bound"
-        return "drop"
-
     def generator(self, task: str) -> np.random.Generator:
         """Random numbers of a task, by the seed of the study."""
         return random_generator(self.study.seed, task)
@@ -182,17 +175,11 @@ class Design:
         """
         return at_normals(joint or self.drawn, self.normals(count, start))
 
-    def many_normals(self, count: int) -> Array:
+    @cached_property
+    def many_normals(self) -> Callable[[int], Array]:
         """The same for as many points as an expansion is evaluated at; those of one count are
         kept."""
-        if count not in self._many:
-            self._many.clear()
-            self._many[count] = self.normals(count)
-        return self._many[count]
-
-    @cached_property
-    def _many(self) -> dict[int, Array]:
-        return {}
+        return lru_cache(maxsize=1)(self.normals)
 
     def normals(self, count: int, start: int = 0) -> Array:
         """The points as independent standard normals (R, count, D)."""
@@ -231,29 +218,12 @@ def number(value: Law | float) -> float:
     return value.nominal_mean() if isinstance(value, Law) else float(value)
 
 
-def by_force(limit: Limit) -> bool:
-    """Whether a limit is held against the force of crushing tests, or against draws with a law of
-    size.
-    """
-    tested = limit.tested
-    return tested is not None and (tested.law is not None or tested.exponent != 0.0)
-
-
 def is_strength(name: str) -> bool:
     """Whether a random variable is the strength of a limit."""
     return limit_of(name) is not None and name.endswith(".strength")
 
 
 # --- demands --------------------------------------------------------------------------------------
-
-
-def strength_of(limit: Limit) -> Law | float:
-    """What a limit is held against: the distribution of the force of its crushing tests, or its
-    strength.
-    """
-    if limit.tested is None or limit.tested.law is None:
-        return limit.strength
-    return limit.tested.law
 
 
 def number_of_tests(strength: Law | float) -> int | None:
@@ -263,19 +233,12 @@ def number_of_tests(strength: Law | float) -> int | None:
     return None
 
 
-def column_of(limit: Limit) -> str:
-    """The column of a sample that a limit is held against."""
-    if by_force(limit):
-        return f"limits.{limit.name}.test_force"
-    return limit.quantity
-
-
 def demands_of(limit: Limit, sample: Sample) -> Array:
     """Demands (R, n) of a limit, with its model factor; those against forces of tests have it
     already.
     """
-    demands = sample.answer(column_of(limit))
-    if by_force(limit):
+    demands = sample.answer(limit.column)
+    if limit.by_force:
         return demands
     return demands * _factor(limit, sample)
 
@@ -296,7 +259,7 @@ def with_test_forces(design: Design, sample: Sample, limits: Sequence[Limit] = (
     values: dict[str, Array | float] = {**design.study.at_means(), **varying}
     for limit in limits or design.judged.limits:
         tested = limit.tested
-        if tested is None or not by_force(limit):
+        if tested is None or not limit.by_force:
             continue
         # numbers of what yields in the tests count where they scatter from row to row
         parts = ("sphere", "contact") if tested.sphere.get("takes") else ("contact",)
@@ -318,7 +281,7 @@ def with_test_forces(design: Design, sample: Sample, limits: Sequence[Limit] = (
         force[finite] = worth * (tested.diameter / (2.0 * radius)) ** tested.exponent
         sample = replace(
             sample,
-            quantities=(*sample.quantities, column_of(limit)),
+            quantities=(*sample.quantities, limit.column),
             answers=np.dstack([sample.answers, force]),
             censored=np.dstack([sample.censored, sample.late(limit.quantity)]),
         )

@@ -19,14 +19,14 @@ import numpy as np
 from uqsphere.arrays import Array, bundle, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
+from uqsphere.uq.estimate import ENDS, carriers, fold_spread, probability_ends, spread, spreads
 from uqsphere.uq.fitting import STRENGTHS, fitted_law, is_fitted, possible_laws, series_behind
 from uqsphere.uq.joint import FREE
 from uqsphere.uq.limit_state import make_union
 
-from .design import Design, strength_of
+from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .limits import common_factor
 from .line import Line, YieldingRows, exceedance, score
@@ -125,7 +125,7 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
     """The forces of the crushing tests behind a limit, or the observations; empty without."""
     if limit.tested is not None and limit.tested.forces:
         return limit.tested.forces
-    law = strength_of(limit)
+    law = limit.resistance
     if is_fitted(law):
         return law.data
     return ()
@@ -137,7 +137,7 @@ def tests_behind(limit: Limit) -> tuple[float, ...]:
 def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternative]:
     """Every strength of limits that may be otherwise, and every tie to the inputs."""
     for limit in limits:
-        law = strength_of(limit)
+        law = limit.resistance
         if not isinstance(law, Law):
             continue
         code: DoubtCode = "distribution"
@@ -147,8 +147,7 @@ def alternatives(design: Design, limits: Sequence[Limit]) -> Iterator[Alternativ
             strengths = strengths_allowed(design, limit, law)
         for name, laws in strengths.items():
             yield Alternative(code=code, limit=limit, detail=name, laws=laws)
-        tied = strength_name(limit.name)
-        if any(tied in tie.of for tie in design.study.dependence):
+        if any(limit.strength_name in tie.of for tie in design.study.dependence):
             yield Alternative(code="tie", limit=limit)
 
 
@@ -211,7 +210,7 @@ class Others:
         they hold: of a strength that depends on theirs
     """
 
-    none: Array
+    none: Array | float = 1.0
     shift: Array | float = 0.0
     scale: float = 1.0
 
@@ -274,7 +273,7 @@ class Curves:
     @cached_property
     def few(self) -> Curves:
         """The same on some of the rows."""
-        return Curves(aim=self.aim, line=self.line.few)
+        return replace(self, line=self.line.few)
 
     @cached_property
     def _bases(self) -> dict[str, Array]:
@@ -296,6 +295,10 @@ class Curves:
         """The mean exceedance (K,) of a limit with the other failure modes."""
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
+    def _unsafe_above(self, curve: Array) -> bool:
+        """Whether larger values of the free number are the unsafe ones, by a curve (K,)."""
+        return bool((curve[-1] >= curve[0]) == self.aim.survive)
+
     def margin(self, limit: Limit, curve: Array) -> float | None:
         """The value of the free number at which a curve (K,) of a limit misses its target, seen
         from the safe end.
@@ -311,7 +314,7 @@ class Curves:
         if not missed.size:
             return math.inf
         k = missed[-1] + 1
-        if (curve[-1] >= curve[0]) == self.aim.survive:
+        if self._unsafe_above(curve):
             k = missed[0]
         if k in (0, len(curve)):
             return None
@@ -326,18 +329,14 @@ class Curves:
         by each of some strengths; by its own where there are none.
         """
         state = self.line.state(limit)
+        others = self.others.get(limit.name, Others())
         if not tied:
             state = replace(state, tie=FREE)
-        others = self.others.get(limit.name)
-        if others is not None and not tied:
             others = Others(none=others.none)
         means = []
         for strength in laws or [state.strength]:
-            rows = exceedance(replace(state, strength=strength), self.aim.word)
-            alone = joint = self.line.means(rows)
-            if others is not None:
-                joint = self.line.means(others.or_any(rows))
-            means.append((alone, joint))
+            alone = exceedance(replace(state, strength=strength), self.aim.word)
+            means.append([self.line.means(rows) for rows in (alone, others.or_any(alone))])
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
     def computed(self, limit: Limit) -> Doubt:
@@ -345,15 +344,38 @@ class Curves:
         margin where too few rows carry the failures beside it.
         """
         base = self.base(limit)
-        as_it_is = Alternative(code="computation", limit=limit)
         carried_by = self._carrying(limit)
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
-        doubt = self._doubt(as_it_is, curves, base[1])
+        if self.line.folds:
+            curves = self._by_folds(limit, curves)
+        doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
             if max(carried_by[1][max(above - 1, 0) : above + 1]) < FEWEST:
                 return replace(doubt, margin=None)
         return doubt
+
+    def _by_folds(self, limit: Limit, curves: Sequence[Array]) -> list[Array]:
+        """Curves (K,) of a limit by a slow model, moved along the free number to the safe side by
+        what its expansions disagree by on where the target is missed.
+        """
+        folds = Curves(aim=self.aim, line=replace(self.line, samples=self.line.folds, folds={}))
+        margins = [self.margin(limit, curve) for curve in folds.base(limit)[1].T]
+        places = self.line.places
+        safe, unsafe = places[0], places[-1]
+        if not self._unsafe_above(curves[1]):
+            safe, unsafe = unsafe, safe
+        missed_at = []
+        for margin in margins:
+            if margin is None:
+                missed_at.append(safe)
+            elif margin == math.inf:
+                missed_at.append(unsafe)
+            else:
+                missed_at.append(self.line.place_of(margin))
+        further = math.copysign(fold_spread(np.array(missed_at)), unsafe - safe)
+        there = np.clip(places + further, places[0], places[-1])
+        return [special.ndtr(self.line.interpolated(score(curve))(there)) for curve in curves]
 
     def _ends(self, limit: Limit, means: Array, carried_by: Sequence[float]) -> Array:
         """The unsafe ends (K,) of the numerical intervals of probabilities (K, R) of a limit that
@@ -386,7 +408,7 @@ class Curves:
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
         from_unsafe = slice(None)
-        if (means[-1] >= means[0]) == survive:
+        if self._unsafe_above(means):
             from_unsafe = slice(None, None, -1)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
 
@@ -394,14 +416,12 @@ class Curves:
         """The rows of each value that carry the failures of a limit, alone and with the other
         failure modes; infinite where none does.
         """
-        alone = joint = exceedance(self.line.state(limit), self.aim.word)
-        if limit.name in self.others:
-            joint = self.others[limit.name].or_any(alone)
+        alone = exceedance(self.line.state(limit), self.aim.word)
+        joint = self.others.get(limit.name, Others()).or_any(alone)
         carried_by = []
         for exceeded in (alone, joint):
             failing = np.nan_to_num(exceeded if self.aim.survive else 1.0 - exceeded)
-            parts = self.line.by_value(failing)
-            carried_by.append([carriers(part) or math.inf for part in parts])
+            carried_by.append([carriers(part) or math.inf for part in self.line.by_value(failing)])
         return carried_by
 
     def _counted(self, limit: Limit) -> bool:
@@ -486,11 +506,10 @@ class Curves:
             for rows in (means, few, every)
         )
         change = scores(self.line, every) - scores(self.few.line, few)
-        ends = scores(self.few.line, np.quantile(means, end, axis=1))
-        moved = special.ndtr(ends + change)
+        quantiles = np.quantile(means, end, axis=1)
+        moved = special.ndtr(scores(self.few.line, quantiles) + change)
         # far out a difference of scores is no small one: the difference of the probabilities counts
         # where it moves less
-        quantiles = np.quantile(means, end, axis=1)
         added = np.clip(quantiles + every - few, 0.0, 1.0)
         milder = np.abs(added - quantiles) < np.abs(moved - quantiles)
         moved = np.where(milder, added, moved)

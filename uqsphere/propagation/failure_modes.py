@@ -147,8 +147,7 @@ def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode
         if mode.size_law == "volume":
             return make_law("weibull", {"mean": value, "modulus": parameters["modulus"]})
         if mode.size_law == "particle":
-            log_mean = math.log(value * size)
-            return make_law("lognormal", {"log_mean": log_mean, "log_sd": entry.cov})
+            return make_law("lognormal", {"log_mean": math.log(value * size), "log_sd": entry.cov})
         return make_law("lognormal", {"mean": value, "cov": entry.cov})
 
     name = f"{mode.name} (assumed)"

@@ -47,7 +47,7 @@ def fragility(tables: Tables) -> Rows:
             yield number_row(subject, "curve", *row, method=METHOD, runs=runs)
         for p, estimate in fitted.values.items():
             unit = lookup(design.free_quantity).unit
-            yield estimate_row(subject, "margin", p, estimate, unit=unit, runs=runs)
+            yield estimate_row(subject, "margin", estimate, p, unit=unit, runs=runs)
         allowed = fitted.values[limit.allowable]
         if not allowed.value or not planned or not limit.has_target:
             continue
@@ -158,8 +158,10 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     outputs = {}
     for name in design.columns:
         outputs[name] = np.stack([sample.outputs(name) for sample in samples])
-    limits = {}
-    for limit in study.limits:
-        limits[limit.name] = curve_of(tables, limit, margins.for_probability)
-    failed = np.array([sample.failed.mean() for sample in samples])
-    return Curves(values=np.array([*line]), outputs=outputs, limits=limits, failed=failed)
+    asked = margins.for_probability
+    return Curves(
+        values=np.array([*line]),
+        outputs=outputs,
+        limits={limit.name: curve_of(tables, limit, asked) for limit in study.limits},
+        failed=np.array([sample.failed.mean() for sample in samples]),
+    )

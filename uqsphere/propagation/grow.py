@@ -201,12 +201,12 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
     not looked at again.
     """
     design = tables.design
-    names = design.study.analysis.quantities
     inaccurate: list[str] = []
     if design.inputs:
         fits = expansions(design, tables.sample, design.described, tables.expansions)
         tables = replace(tables, expansions=fits)
-        inaccurate = [name for name in names if not _by_chaos_accurate(tables, name)]
+        asked = design.study.analysis.quantities
+        inaccurate = [name for name in asked if not _by_chaos_accurate(tables, name)]
     margins = dict(tables.margins)
     missed = _inaccurate_margins(tables)
     for limit in design.limits:

@@ -14,7 +14,7 @@ import numpy as np
 from uqsphere.arrays import Array, special
 from uqsphere.models.scene import fractures_of
 from uqsphere.results.answers import Rows, estimate_row, number_row
-from uqsphere.study import Limit, limit_of, strength_name
+from uqsphere.study import Limit, limit_of
 from uqsphere.uq import Estimate, Law, LimitState, Sample, exact, from_replicates, score_of
 from uqsphere.uq.estimate import count_bound, share
 from uqsphere.uq.limit_state import (
@@ -24,7 +24,7 @@ from uqsphere.uq.limit_state import (
     weighted_quantile,
 )
 
-from .design import Design, column_of, demands_of, strength_of
+from .design import Design, demands_of
 from .tables import Tables, input_rows
 
 #: points of a replicate that the drivers rest on at most, and the step of a score for derivatives
@@ -44,27 +44,28 @@ def limits(tables: Tables) -> Rows:
             runs += tables.rare[limit.name].estimate.evaluations
         if limit.aim != "survive":
             exceeded = failed.complement()
-        yield estimate_row(subject, "exceedance_probability", "", exceeded, runs=runs)
-        yield estimate_row(subject, "failure_probability", "", failed, runs=runs)
+        yield estimate_row(subject, "exceedance_probability", exceeded, runs=runs)
+        yield estimate_row(subject, "failure_probability", failed, runs=runs)
         index, high, low = map(reliability_index, (failed.value, *failed.outer))
         if index is not None:
-            origin = {"method": failed.method, "runs": runs}
-            yield number_row(subject, "reliability_index", "", index, low, high, **origin)
+            yield number_row(
+                subject, "reliability_index", "", index, low, high, method=failed.method, runs=runs
+            )
         ratio = state_of(design, limit, tables.sample).safety_factor()
-        yield estimate_row(subject, "safety_factor", "strength over demand", ratio, runs=runs)
+        yield estimate_row(subject, "safety_factor", ratio, "strength over demand", runs=runs)
 
 
 def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
-    column = column_of(limit)
+    column = limit.column
     sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
     if limit.name in tables.rare:
         return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
     constant = not design.drawn.names and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
-    return tables.source.probability(
+    return tables.probability(
         column,
         sampled,
         lambda sample: failure_given_inputs(state_of(design, limit, sample), limit),
@@ -104,15 +105,13 @@ def sign_of(limit: Limit) -> float:
 
 def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
     """Demands of a limit at points against its strength, with the dependence between the two."""
-    strength = strength_of(limit)
-    column = column_of(limit)
     state = LimitState(
         demands=demands_of(limit, sample),
-        strength=strength,
-        censored=sample.late(column),
-        on_failure=design.on_failure,
+        strength=limit.resistance,
+        censored=sample.late(limit.column),
+        on_failure=design.study.analysis.policy,
     )
-    name = strength_name(limit.name)
+    name = limit.strength_name
     if not design.study.dependence or name not in design.joint.names:
         return state
     scores = design.drawn.scores(sample.scores)
@@ -151,7 +150,7 @@ def drivers(tables: Tables) -> Rows:
         changes = change_per_sd(failure_given_inputs(state, limit), gradients, moved)
         for name, estimate in zip(names, changes, strict=True):
             if limit_of(name) in (None, limit.name):
-                yield estimate_row(subject, "driver", name, estimate, runs=tables.runs)
+                yield estimate_row(subject, "driver", estimate, name, runs=tables.runs)
         law = state.strength
         if isinstance(law, Law) and not law.is_steps:
             score = score_of(*law.tails(state.demands))
@@ -160,9 +159,7 @@ def drivers(tables: Tables) -> Rows:
                 for step in (-STEP, STEP)
             )
             change = from_replicates((low - high) / (2.0 * STEP), "difference", tables.runs)
-            yield estimate_row(
-                subject, "driver", strength_name(limit.name), change, runs=tables.runs
-            )
+            yield estimate_row(subject, "driver", change, limit.strength_name, runs=tables.runs)
 
 
 def change_per_sd(
@@ -203,7 +200,7 @@ def fracture(tables: Tables) -> Rows:
         generator,
     )
     exceeded = union.state.failure_of_aim("survive")
-    yield estimate_row("fracture", "exceedance_probability", "", exceeded, runs=tables.runs)
+    yield estimate_row("fracture", "exceedance_probability", exceeded, runs=tables.runs)
     drawn = union.draw_breaking(SPECIMENS, generator)
     if drawn is None:
         return
@@ -222,13 +219,13 @@ def fracture(tables: Tables) -> Rows:
     first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
         by_mode = share(first == k, METHOD, weights=drawn.weights)
-        yield estimate_row("fracture", "mode_share", limit.name, by_mode, runs=first.size)
+        yield estimate_row("fracture", "mode_share", by_mode, limit.name, runs=first.size)
     for name in ("time", "force", "energy"):
         values = getattr(fractures, name)
         filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
         for p in (0.05, 0.5, 0.95):
             estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
-            yield estimate_row("fracture", f"{name}_at_fracture", p, estimate, runs=first.size)
+            yield estimate_row("fracture", f"{name}_at_fracture", estimate, p, runs=first.size)
 
 
 def _each_once(limits: Sequence[Limit]) -> list[Limit]:
@@ -252,7 +249,7 @@ def common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     place_of = design.joint.names.index
     correlation = design.joint.correlation
     covariance = np.eye(len(limits))
-    names = [strength_name(limit.name) for limit in limits]
+    names = [limit.strength_name for limit in limits]
     random = [k for k, name in enumerate(names) if name in design.joint.names]
     if not design.joint.dependent or len(random) < 2:
         return covariance

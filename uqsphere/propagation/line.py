@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,10 +37,12 @@ class Line:
     """Rows at rising values of the free number, or at the plan alone.
 
     samples : the rows at each of K values; at nan for the plan
+    folds : what each expansion of a slow model predicts at the same points; else empty
     """
 
     design: Design
     samples: Mapping[float, Sample]
+    folds: Mapping[float, Sample] = field(default_factory=dict)
 
     @cached_property
     def values(self) -> tuple[float, ...]:
@@ -50,8 +52,7 @@ class Line:
     @cached_property
     def rows(self) -> Sample:
         """The rows of all values, one value after the other."""
-        first, *others = self.samples.values()
-        return first.join(*others)
+        return Sample.join(*self.samples.values())
 
     @cached_property
     def places(self) -> Array:
@@ -63,11 +64,13 @@ class Line:
     @cached_property
     def few(self) -> Line:
         """Some of the rows at each value, for doubts that take many strengths or other runs."""
-        heads = {
-            value: sample.head(max(_FEW, sample.count // _FEW_SHARE))
-            for value, sample in self.samples.items()
-        }
-        return replace(self, samples=heads)
+        return replace(
+            self,
+            samples={
+                value: sample.head(max(_FEW, sample.count // _FEW_SHARE))
+                for value, sample in self.samples.items()
+            },
+        )
 
     @cached_property
     def _counts(self) -> list[int]:
@@ -106,11 +109,10 @@ class Line:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
         starts = np.cumsum([0, *self._counts[:-1]])
         lost = np.isnan(rows)
-        kept: Array = np.array(self._counts, dtype=float)
-        if lost.any():
-            kept = np.maximum(np.add.reduceat((~lost).astype(float), starts, axis=1), 1.0)
-            rows = np.where(lost, 0.0, rows)
-        return (np.add.reduceat(rows, starts, axis=1) / kept).T
+        kept = np.add.reduceat(~lost, starts, axis=1, dtype=float)
+        total = np.add.reduceat(np.where(lost, 0.0, rows), starts, axis=1)
+        means: Array = total / np.maximum(kept, 1.0)
+        return means.T
 
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""
@@ -118,7 +120,7 @@ class Line:
             return float(curve[0])
         return float(special.ndtr(self.interpolated(score(curve))(self.place_of(value))))
 
-    def interpolated(self, scores: Array) -> Callable[[float], Values]:
+    def interpolated(self, scores: Array) -> Callable[[Values], Values]:
         """Normal scores (K,) as a function of the place."""
         from scipy.interpolate import PchipInterpolator
 
@@ -155,7 +157,7 @@ def line_of(tables: Tables) -> Line | None:
         samples = dict.fromkeys(grid(margins), tables.sample.head(_SHARED))
     if not samples:
         return None
-    return Line(design=tables.design, samples=samples)
+    return Line(design=tables.design, samples=samples, folds=tables.fold_line)
 
 
 def evaluated_at(
@@ -178,8 +180,7 @@ def evaluated_at(
             parts[value] = points
     if not parts:
         return before
-    first, *others = parts.values()
-    rows = evaluate(design, model, first.join(*others))
+    rows = evaluate(design, model, Sample.join(*parts.values()))
     samples = dict(before)
     end = 0
     for value, part in parts.items():

@@ -21,7 +21,6 @@ from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.fitting import STRENGTHS, LocationScale, is_fitted
 
 from .decision import Settled
-from .design import strength_of
 from .doubts import LAWS, Curves, Others, tests_behind
 from .failure_modes import (
     REFUTED,
@@ -71,7 +70,7 @@ def gains_of(settled: Settled, sizes: Sequence[int] = SIZES) -> list[TestsGain]:
     """
     limits = []
     for limit in settled.aim.limits:
-        law = strength_of(limit)
+        law = limit.resistance
         if is_fitted(law) and law.family.name in STRENGTHS and law.data:
             limits.append(limit)
     if not limits or settled.use is None:
@@ -103,7 +102,7 @@ class _Promise:
     """What tests of a limit's strength allow, with the failure modes that they leave."""
 
     def __init__(self, settled: Settled, limit: Limit) -> None:
-        law = strength_of(limit)
+        law = limit.resistance
         assert isinstance(law, Law)
         self.settled, self.limit, self.law = settled, limit, law
         names = [*STRENGTHS]
@@ -119,7 +118,7 @@ class _Promise:
     def places(self, uniforms: Array) -> Iterator[Array]:
         """Places (J,) that series of tests (J, n) allow, by distribution and by other modes."""
         settled = self.settled
-        line = self.settled.line
+        line = settled.line
         logs, leaving = self._series(uniforms)
         stronger = [self._stronger(mode, logs, leaving) for mode in self.modes]
         added = partial(self.added, stronger)
@@ -224,7 +223,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     exceeded_here = exceedance(line.state(limit), word)
     stands = 1.0 - exceeded_here
     of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
-    others = of_study.others.get(limit.name, Others(none=np.ones(1)))
+    others = of_study.others.get(limit.name, Others())
     # neither of the study's other limits without this one
     held = line.means(1.0 - others.or_any(exceeded_here) + exceeded_here).mean(axis=1)
     tables = []
@@ -259,8 +258,7 @@ def _place_of(law: Law) -> tuple[LocationScale, float, float]:
 
 @lru_cache(maxsize=16)
 def _pivots(kind: LocationScale, leaving: tuple[float, ...], at: float) -> tuple[Array, Array]:
-    generator = np.random.default_rng(len(leaving))
-    return kind.pivots(np.array(leaving), LAWS, generator, at)
+    return kind.pivots(np.array(leaving), LAWS, np.random.default_rng(len(leaving)), at)
 
 
 def _refuted(kind: LocationScale, logs: Array, leaving: Array) -> Flags:

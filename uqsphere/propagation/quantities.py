@@ -13,7 +13,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.results.answers import Rows, estimate_row
 from uqsphere.uq import absent
 
-from .tables import Tables
+from .tables import Slow, Tables
 
 
 def distributions(tables: Tables) -> Rows:
@@ -21,12 +21,12 @@ def distributions(tables: Tables) -> Rows:
     runs = tables.runs if tables.design.drawn.names else 1
     for name in tables.design.described:
         description = tables.described(name)
-        yield estimate_row(name, "mean", "", description.mean, runs=runs)
-        yield estimate_row(name, "sd", "", description.sd, runs=runs)
+        yield estimate_row(name, "mean", description.mean, runs=runs)
+        yield estimate_row(name, "sd", description.sd, runs=runs)
         for p, estimate in description.quantiles.items():
-            yield estimate_row(name, "quantile", p, estimate, runs=runs)
+            yield estimate_row(name, "quantile", estimate, p, runs=runs)
         if tables.sample.late(name).any():
-            yield estimate_row(name, "censored_share", "", description.censored_share, runs=runs)
+            yield estimate_row(name, "censored_share", description.censored_share, runs=runs)
 
 
 def density(values: Array) -> list[list[float]] | None:
@@ -65,7 +65,7 @@ def indices(tables: Tables) -> Rows:
                 runs += tables.pairs[name].size
             orders = ("second",) if "," in label else ("first", "total")
             for order, estimate in zip(orders, row, strict=True):
-                yield estimate_row(name, f"sobol_{order}", label, estimate, runs=runs)
+                yield estimate_row(name, f"sobol_{order}", estimate, label, runs=runs)
 
 
 #: trajectories of Morris' design, and rows of the sample that SALib's other methods get
@@ -93,7 +93,7 @@ def salib_indices(tables: Tables, model: Model) -> Rows:
         columns = {name: sample.answer(name).ravel()[:GIVEN] for name in design.described}
         if inputs.dependent:
             reason = "the inputs depend on each other, which SALib's measures do not allow for"
-        elif method == "morris" and tables.surrogate is not None:
+        elif method == "morris" and isinstance(tables, Slow):
             reason = "the model is too slow for a design of its own"
         elif method == "morris":
             uniforms, rows = morris_rows(inputs, TRAJECTORIES, seed=seed)
@@ -108,4 +108,4 @@ def salib_indices(tables: Tables, model: Model) -> Rows:
             else:
                 row = salib_measures(method, uniforms, outputs, names, seed=seed)
             for label, estimate in zip(names, row, strict=True):
-                yield estimate_row(name, method, label, estimate, runs=len(uniforms))
+                yield estimate_row(name, method, estimate, label, runs=len(uniforms))

@@ -19,13 +19,13 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of
 from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
 from .chaos import MOST_LEFT, values_at
-from .design import Design, at_normals, by_force, is_strength, number, strength_of, with_test_forces
+from .design import Design, at_normals, is_strength, number, with_test_forces
 from .limits import failure, sign_of, state_of
 from .tables import Searched, Tables, evaluate
 
@@ -120,7 +120,7 @@ def _waiting(tables: Tables, rows_left: float) -> list[Limit]:
             waits = is_left_to_search(design, estimate) or out_of_reach
         if waits:
             # those that no row of the sample fails: by how far their strength is out
-            rank = -(estimate.value or 0.0), number(strength_of(limit)) * sign_of(limit)
+            rank = -(estimate.value or 0.0), number(limit.resistance) * sign_of(limit)
             waiting.append((rank, limit))
     return [limit for _, limit in sorted(waiting, key=lambda entry: entry[0])]
 
@@ -189,8 +189,8 @@ def _problem(
     def of_outputs(y: Array) -> Array:
         return left(LimitState(demands=number(limit.model_factor) * y[None], strength=strength))
 
-    strength = strength_of(limit)
-    whole = design.study.dependence or by_force(limit) or isinstance(limit.model_factor, Law)
+    strength = limit.resistance
+    whole = design.study.dependence or limit.by_force or isinstance(limit.model_factor, Law)
     return Evaluator(
         answers,
         len(design.drawn.names),
@@ -216,10 +216,10 @@ def _physical(
     size = len(design.drawn.names)
     sample = answered(at_normals(design.drawn, point[None, None, :size]))
     values = dict(zip(design.drawn.names, sample.inputs[0, 0].tolist(), strict=True))
-    law = strength_of(limit)
+    law = limit.resistance
     if isinstance(law, Law):
         # failure is z below the score of the demand: the strength there
         z = np.full((1, 1), sign_of(limit) * point[size])
         score = state_of(design, limit, sample).tie.score_at(z)
-        values[strength_name(limit.name)] = law.from_normal(score)[0, 0]
+        values[limit.strength_name] = law.from_normal(score)[0, 0]
     return values

@@ -167,8 +167,7 @@ def tables_of(
             )
         points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
-    slow = _predicted(design, rows)
-    tables = Tables(design=design, sample=slow.sample, surrogate=slow)
+    tables = _predicted(design, rows)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
@@ -207,16 +206,16 @@ def _evaluated(
             stopped = "time"
     if done < LEAST_ROWS:
         raise KeyboardInterrupt  # the user has stopped
-    rows = parts[0].join(*parts[1:])
+    rows = Sample.join(*parts)
     check_sizes(design, rows.answers)
     check_failures(design, rows.status[0], f"{rows.failed.sum()} of {done} rows")
     return rows, stopped
 
 
 def _predicted(design: Design, rows: Sample) -> Slow:
-    """The expansions of all columns with the table of their values: of the rows themselves, in
-    blocks that stand for replicates, where a column is too rough for its expansions, or where
-    these would extrapolate into a region in which the model fails.
+    """The tables with the expansions of all columns, whose values are the sample: the rows
+    themselves, in blocks that stand for replicates, where a column is too rough for its expansions,
+    or where these would extrapolate into a region in which the model fails.
     """
     dropped = 0.0
     apart = False
@@ -239,7 +238,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         sample = rows.head(rows.count // count * count).in_blocks(count)
     return Slow(
         design=design,
-        rows=rows,
+        evaluated=rows,
         responses=responses,
         sample=sample,
         predicted=predicted,
@@ -295,9 +294,8 @@ def _lines(
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     answers = rows.answers[0]
     good = np.isfinite(answers).all(axis=1)
-    if good.sum() < LEAST_ROWS:
-        return {}, {}
-    if not good.all() and lie_apart(places[~good], places[good]):
+    enough = good.sum() >= LEAST_ROWS
+    if not enough or (not good.all() and lie_apart(places[~good], places[good])):
         return {}, {}
     fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
     if not all(response.usable for response in fits):

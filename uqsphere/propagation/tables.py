@@ -52,52 +52,205 @@ class Searched(NamedTuple):
     design_point: Mapping[str, float]
 
 
-def described_rows(design: Design, sample: Sample, name: str, method: str) -> Description:
-    """The description of a quantity by the rows of a sample alone."""
-    return describe(
-        sample.answer(name),
-        censored=sample.late(name),
-        on_failure=design.on_failure,
-        quantiles=design.study.analysis.quantiles,
-        method=method,
-    )
+@bundle
+class Tables:
+    """What was evaluated, how accurate it is, and what the rows of a cheap model answer.  Tables
+    that grow are new tables.
 
+    design : what is evaluated
+    sample : (R, n) points with all columns
+    line : the same at values of the free number; empty where it moves no row, or there is none
+    pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
+    expansions : polynomial chaos by quantity
+    rare : searches for small probabilities by limit
+    margins : of limits, each with the scale of its accuracy
+    descriptions : of quantities, kept once they are asked for
+    errors : of all answers that have a requirement
+    reached : (model runs, largest error over its requirement) at each size
+    stopped : why the tables do not grow any more; empty while they do
+    predicted_from : model runs that the line of a slow model is predicted from
+    fold_line : its line by each of the expansions, all at the same points: (folds, m)
+    """
 
-def by_input(design: Design, orders: Iterable[Sequence[Estimate]], text: str) -> Indices:
-    """Indices by input from those of every order, with a text behind their methods."""
-    return {
-        name: tuple(replace(index, method=index.method + text) for index in row)
-        for name, row in zip(design.inputs, zip(*orders, strict=True), strict=True)
-    }
+    design: Design
+    sample: Sample
+    line: Mapping[float, Sample] = field(default_factory=dict)
+    pairs: Mapping[str, Array] = field(default_factory=dict)
+    expansions: Mapping[str, Expansion] = field(default_factory=dict)
+    rare: Mapping[str, Searched] = field(default_factory=dict)
+    margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
+    descriptions: dict[str, Description] = field(default_factory=dict)
+    errors: Sequence[Accuracy] = ()
+    reached: Sequence[tuple[int, float]] = ()
+    stopped: Stop = ""
+    predicted_from: int = 0
+    fold_line: Mapping[float, Sample] = field(default_factory=dict)
 
+    @property
+    def rows(self) -> Sample:
+        """The model's own rows of the sample."""
+        return self.sample
 
-def no_indices(design: Design, reason: str, method: str, runs: int) -> Indices:
-    """Indices of all inputs that cannot be given, and why."""
-    nothing = absent(reason, method, runs)
-    return dict.fromkeys(design.inputs, (nothing, nothing))
+    @property
+    def runs(self) -> int:
+        """Model runs that the sample rests on."""
+        return self.rows.size
+
+    @property
+    def inaccurate(self) -> list[Accuracy]:
+        """The answers that are less accurate than required."""
+        return [error for error in self.errors if error.reached > error.required]
+
+    @property
+    def worst(self) -> float:
+        """The largest error over its requirement; 0 where nothing is required."""
+        return max((error.reached / error.required for error in self.errors), default=0.0)
+
+    def described(self, name: str) -> Description:
+        """The description of a quantity; the loop and the analyses ask for the same ones."""
+        if name not in self.descriptions:
+            self.descriptions[name] = self.describe(name)
+        return self.descriptions[name]
+
+    def sobol(self, name: str) -> Indices:
+        """First, total and second indices of a quantity."""
+        if self.design.joint_inputs.dependent:
+            # variance has no parts of its own for each of inputs that are tied
+            reason = "inputs depend on each other: their Sobol' indices have no meaning"
+            return self.no_indices(reason, METHOD, self.runs)
+        return self.indices(name)
+
+    def describe(self, name: str) -> Description:
+        """The description of a quantity; an accurate expansion is its control variate."""
+        sample = self.sample
+        quantiles = self.design.study.analysis.quantiles
+        if not self.design.drawn.names and sample.knows(name):
+            value = exact(sample.answer(name)[0, 0])
+            return Description(
+                mean=value,
+                sd=exact(0.0),
+                quantiles=dict.fromkeys(quantiles, value),
+                censored_share=exact(0.0),
+                scale=0.0,
+            )
+        expansion = self._control(name)
+        if expansion is not None:
+            return describe_controlled(
+                sample.answer(name)[1:],
+                expansion.values,
+                self.values(name)[1:],
+                quantiles=quantiles,
+                method="sample, chaos as control variate",
+            )
+        return self.described_rows(name, "sample")
+
+    def _control(self, name: str) -> Expansion | None:
+        """The expansion of a quantity that is accurate enough to be its control variate."""
+        expansion = self.expansions.get(name)
+        if expansion is None or self.sample.count >= MOST_MANY:
+            return None
+        return expansion if expansion.left + expansion.beyond < CONTROL else None
+
+    def values(self, name: str) -> Array:
+        """Values (R, n) that stand for the distribution of a quantity: of its control variate at
+        the sample's points continued, `MANY` for each.
+        """
+        expansion = self._control(name)
+        if expansion is None:
+            return self.sample.answer(name)
+        count = min(MANY * self.sample.count, MOST_MANY)
+        return values_at(self.design, expansion, self.design.many_normals(count))
+
+    def probability(
+        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
+    ) -> Estimate:
+        """The failure probability of the sample; only a bound where too few rows carry it."""
+        small = sampled.value is not None and 0.0 < sampled.value < 1e-3
+        if not small or carriers(chance(self.sample)) >= 20.0:
+            return sampled
+        bound = max(sampled.high or 0.0, count_bound(self.sample.size))
+        reason = "fewer than 20 effective samples contribute to it; only a bound is given"
+        return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
+
+    def index_method(self, name: str) -> IndexMethod:
+        """Where the indices of a quantity come from."""
+        if name in self.pairs:
+            return "pairs"
+        return "chaos" if name in self.expansions else ""
+
+    def indices(self, name: str) -> Indices:
+        """First and total indices of a quantity for independent inputs, and second ones."""
+        reason = heavy_tail(self.sample.outputs(name), certain=True)
+        if not reason and name in self.pairs:
+            return self._by_pairs(self.pairs[name])
+        if not reason and name in self.expansions:
+            return by_chaos(self.design, self.expansions[name])
+        reason = reason or "the quantity does not vary, or has no plain value at every point"
+        return self.no_indices(reason, METHOD, self.runs)
+
+    def _by_pairs(self, values: Array) -> Indices:
+        """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
+        whole = np.asarray(np.isfinite(values).all(axis=2))
+        names = self.design.inputs
+        least = whole.sum(axis=1).min()
+        if least < 2:
+            reason = "too few pairs without a failure"
+            return self.no_indices(reason, "pairs of runs", values.size)
+        kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
+        sampled = sampled_indices(np.stack(kept), self.design.blocks)
+        text = ""
+        if not whole.all():
+            text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
+        second = {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}
+        return {**self.by_input((sampled.first, sampled.total), text), **second}
+
+    # --- parts of these answers -------------------------------------------------------------------
+
+    def described_rows(self, name: str, method: str) -> Description:
+        """The description of a quantity by the rows of the sample alone."""
+        analysis = self.design.study.analysis
+        return describe(
+            self.sample.answer(name),
+            censored=self.sample.late(name),
+            on_failure=analysis.policy,
+            quantiles=analysis.quantiles,
+            method=method,
+        )
+
+    def by_input(self, orders: Iterable[Sequence[Estimate]], text: str) -> Indices:
+        """Indices by input from those of every order, with a text behind their methods."""
+        return {
+            name: tuple(replace(index, method=index.method + text) for index in row)
+            for name, row in zip(self.design.inputs, zip(*orders, strict=True), strict=True)
+        }
+
+    def no_indices(self, reason: str, method: str, runs: int) -> Indices:
+        """Indices of all inputs that cannot be given, and why."""
+        nothing = absent(reason, method, runs)
+        return dict.fromkeys(self.design.inputs, (nothing, nothing))
 
 
 @bundle
-class Slow:
-    """What answers the questions that `Tables` answer of a cheap model: the rows of a slow one,
-    with the expansions that are fitted to them.
+class Slow(Tables):
+    """The tables of a slow model, whose sample is made of its rows: predictions with residuals on
+    them, by the expansions that are fitted to these, or the rows in blocks.
 
-    Attributes
-    ----------
-    rows : (1, N) as evaluated
+    evaluated : the rows (1, N)
     responses : the expansions by quantity; none where a row has no plain values
-    sample : the table: predictions with residuals on them, or the rows in blocks
     predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
         a column are too rough
     dropped : share of the rows that failed and were left out
     """
 
-    design: Design
-    rows: Sample
+    evaluated: Sample
     responses: Mapping[str, Response]
-    sample: Sample
     predicted: Sample | None
     dropped: float
+
+    @property
+    def rows(self) -> Sample:
+        """The model's own rows."""
+        return self.evaluated
 
     def corrected(self, name: str) -> Corrected | None:
         """The predictions of a quantity, corrected by its rows; None where it has none."""
@@ -109,17 +262,13 @@ class Slow:
             dropped=self.dropped,
         )
 
-    def values(self, name: str) -> Array:
-        """Values (R, n) that stand for the distribution of a quantity."""
-        return self.sample.answer(name)
-
     def describe(self, name: str) -> Description:
         """Mean, standard deviation and quantiles of a quantity."""
         corrected = self.corrected(name)
         if corrected is not None:
             return corrected.describe(self.design.study.analysis.quantiles)
         method = f"{self.rows.size} {ROUGH}{self._kept}; {unseen(self.rows.size)}"
-        return described_rows(self.design, self.sample, name, method)
+        return self.described_rows(name, method)
 
     @property
     def _kept(self) -> str:
@@ -165,177 +314,13 @@ class Slow:
         runs = self.rows.size
         if name in self.responses:
             orders = indices_of(self.responses[name]).values()
-            return by_input(self.design, orders, self._kept)
+            return self.by_input(orders, self._kept)
         reason = f"some of the {runs} model runs have no plain value"
         if self.dropped:
             reason = "the runs that failed lie apart from the others: see on_failure"
         elif self.rows.failed.any():
             reason += '; analysis.on_failure = "drop" gives the indices of those that do'
-        return no_indices(self.design, reason, ROUGH, runs)
-
-
-@bundle
-class Tables:
-    """What was evaluated, how accurate it is, and what the rows of a cheap model answer.  Tables
-    that grow are new tables.
-
-    design : what is evaluated
-    sample : (R, n) points with all columns
-    line : the same at values of the free number; empty where it moves no row, or there is none
-    pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
-    expansions : polynomial chaos by quantity
-    rare : searches for small probabilities by limit
-    margins : of limits, each with the scale of its accuracy
-    descriptions : of quantities, kept once they are asked for
-    errors : of all answers that have a requirement
-    reached : (model runs, largest error over its requirement) at each size
-    stopped : why the tables do not grow any more; empty while they do
-    surrogate : of a slow model, whose tables are predicted
-    predicted_from : model runs that its line is predicted from
-    fold_line : its line by each of the expansions, all at the same points: (folds, m)
-    """
-
-    design: Design
-    sample: Sample
-    line: Mapping[float, Sample] = field(default_factory=dict)
-    pairs: Mapping[str, Array] = field(default_factory=dict)
-    expansions: Mapping[str, Expansion] = field(default_factory=dict)
-    rare: Mapping[str, Searched] = field(default_factory=dict)
-    margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
-    descriptions: dict[str, Description] = field(default_factory=dict)
-    errors: Sequence[Accuracy] = ()
-    reached: Sequence[tuple[int, float]] = ()
-    stopped: Stop = ""
-    surrogate: Slow | None = None
-    predicted_from: int = 0
-    fold_line: Mapping[float, Sample] = field(default_factory=dict)
-
-    @property
-    def rows(self) -> Sample:
-        """The model's own rows of the sample."""
-        if self.surrogate is None:
-            return self.sample
-        return self.surrogate.rows
-
-    @property
-    def source(self) -> "Slow | Tables":
-        """What answers the questions of the analyses."""
-        return self.surrogate or self
-
-    @property
-    def runs(self) -> int:
-        """Model runs that the sample rests on."""
-        return self.rows.size
-
-    @property
-    def inaccurate(self) -> list[Accuracy]:
-        """The answers that are less accurate than required."""
-        return [error for error in self.errors if error.reached > error.required]
-
-    @property
-    def worst(self) -> float:
-        """The largest error over its requirement; 0 where nothing is required."""
-        return max((error.reached / error.required for error in self.errors), default=0.0)
-
-    def described(self, name: str) -> Description:
-        """The description of a quantity; the loop and the analyses ask for the same ones."""
-        if name not in self.descriptions:
-            self.descriptions[name] = self.source.describe(name)
-        return self.descriptions[name]
-
-    def sobol(self, name: str) -> Indices:
-        """First, total and second indices of a quantity."""
-        if self.design.joint_inputs.dependent:
-            # variance has no parts of its own for each of inputs that are tied
-            reason = "inputs depend on each other: their Sobol' indices have no meaning"
-            return no_indices(self.design, reason, METHOD, self.runs)
-        return self.source.indices(name)
-
-    # --- what a sample of a cheap model answers ---------------------------------------------------
-
-    def describe(self, name: str) -> Description:
-        """The description of a quantity; an accurate expansion is its control variate."""
-        sample = self.sample
-        quantiles = self.design.study.analysis.quantiles
-        if not self.design.drawn.names and sample.knows(name):
-            value = exact(sample.answer(name)[0, 0])
-            return Description(
-                mean=value,
-                sd=exact(0.0),
-                quantiles=dict.fromkeys(quantiles, value),
-                censored_share=exact(0.0),
-                scale=0.0,
-            )
-        expansion = self._control(name)
-        if expansion is not None:
-            return describe_controlled(
-                sample.answer(name)[1:],
-                expansion.values,
-                self.values(name)[1:],
-                quantiles=quantiles,
-                method="sample, chaos as control variate",
-            )
-        return described_rows(self.design, sample, name, "sample")
-
-    def _control(self, name: str) -> Expansion | None:
-        """The expansion of a quantity that is accurate enough to be its control variate."""
-        expansion = self.expansions.get(name)
-        if expansion is None or self.sample.count >= MOST_MANY:
-            return None
-        return expansion if expansion.left + expansion.beyond < CONTROL else None
-
-    def values(self, name: str) -> Array:
-        """Values (R, n) that stand for the distribution of a quantity: of its control variate at
-        the sample's points continued, `MANY` for each.
-        """
-        expansion = self._control(name)
-        if expansion is None:
-            return self.sample.answer(name)
-        count = min(MANY * self.sample.count, MOST_MANY)
-        return values_at(self.design, expansion, self.design.many_normals(count))
-
-    def probability(
-        self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
-    ) -> Estimate:
-        """The failure probability of the sample; only a bound where too few rows carry it."""
-        small = sampled.value is not None and 0.0 < sampled.value < 1e-3
-        if not small or carriers(chance(self.sample)) >= 20.0:
-            return sampled
-        bound = max(sampled.high or 0.0, count_bound(self.sample.size))
-        reason = "fewer than 20 effective samples contribute to it; only a bound is given"
-        return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
-
-    def index_method(self, name: str) -> IndexMethod:
-        """Where the indices of a quantity come from."""
-        if name in self.pairs:
-            return "pairs"
-        return "chaos" if name in self.expansions else ""
-
-    def indices(self, name: str) -> Indices:
-        """First and total indices of a quantity for independent inputs, and second ones."""
-        reason = heavy_tail(self.sample.outputs(name), certain=True)
-        if not reason and name in self.pairs:
-            return self._by_pairs(self.pairs[name])
-        if not reason and name in self.expansions:
-            return by_chaos(self.design, self.expansions[name])
-        reason = reason or "the quantity does not vary, or has no plain value at every point"
-        return no_indices(self.design, reason, METHOD, self.sample.size)
-
-    def _by_pairs(self, values: Array) -> Indices:
-        """Indices of pairs (R, n, blocks); points of which any run has no value are left out."""
-        whole = np.asarray(np.isfinite(values).all(axis=2))
-        names = self.design.inputs
-        least = whole.sum(axis=1).min()
-        if least < 2:
-            reason = "too few pairs without a failure"
-            return no_indices(self.design, reason, "pairs of runs", values.size)
-        kept = [rows[answered][:least] for rows, answered in zip(values, whole, strict=True)]
-        sampled = sampled_indices(np.stack(kept), self.design.blocks)
-        text = ""
-        if not whole.all():
-            text = f"; of the {100.0 * whole.mean():.3g} % of pairs that answered"
-        second = {f"{names[i]},{names[j]}": (e,) for (i, j), e in sampled.second.items()}
-        return {**by_input(self.design, (sampled.first, sampled.total), text), **second}
+        return self.no_indices(reason, ROUGH, runs)
 
 
 def with_number(points: Sample, name: str, values: Values) -> Sample:

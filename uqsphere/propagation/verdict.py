@@ -30,19 +30,19 @@ from uqsphere.results.types import (
     Use,
     VerdictWord,
 )
-from uqsphere.study import Limit, strength_name
+from uqsphere.study import Limit
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates
 from uqsphere.uq.estimate import SURE, spread
 
 from .checks import Check, caveats_of
 from .decision import Settled, settled_accurately
-from .design import Design, number_of_tests, strength_of
+from .design import Design, number_of_tests
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import means_fracture
 from .limits import failure
 from .line import YieldingRows, line_of, plan_of, refined, yielding_rows
 from .promise import gains_of
-from .tables import Tables
+from .tables import Slow, Tables
 
 #: points of a replicate that doubts are asked on at the plan
 _AT_PLAN = 256
@@ -93,11 +93,10 @@ class Judged:
         planned = self.aim.design.planned
         if self.line is None or number is None or planned is None:
             return False
-        safe = planned <= number
-        if self.settled.safe_above and number != math.inf:
-            safe = planned >= number
-        lowest = [(self.all_modes[limit.name].low or 0.0, limit) for limit in self.aim.limits]
-        return safe and any(low > limit.target for low, limit in lowest)
+        missed = any(
+            (self.all_modes[limit.name].low or 0.0) > limit.target for limit in self.aim.limits
+        )
+        return missed and self.settled.is_safe(planned, number)
 
     def along(self, doubt: Doubt) -> float | None:
         """The margin of a doubt at the plan; None without one."""
@@ -120,7 +119,7 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
         line = line_of(tables)
         settled = None
         if line is not None:
-            if tables.surrogate is not None or tables.stopped == "interrupted":
+            if isinstance(tables, Slow) or tables.stopped == "interrupted":
                 settled = Settled(aim=aim, line=line)
             else:
                 settled = settled_accurately(model, aim, line, end)
@@ -130,7 +129,7 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
                         settled = settled_accurately(model, aim, line, end)
             if tables.line:
                 tables = replace(tables, line=settled.line.samples)
-        probability = _at_plan(tables, Curves(aim=replace(aim, modes=()), line=plan.line))
+        probability = _at_plan(tables, replace(plan, aim=replace(aim, modes=())))
         if aim.survive:
             for mode in design.modes:
                 probability[mode.limit.name] = failure(tables, mode.limit)
@@ -153,9 +152,8 @@ def _turns_back(settled: Settled, plan: Settled, planned: float) -> bool:
     line = settled.line
     if number is None or not line.values[0] < planned < line.values[-1]:
         return False
-    safe_below = not settled.safe_above
-    if math.isfinite(number) and (planned < number) != safe_below:
-        return False  # nor does the curve call the plan safe
+    if not settled.is_safe(planned, number):
+        return False
     for limit in settled.aim.limits:
         (p,) = plan.middle(limit)
         away = abs(p - line.at(settled.middle(limit), planned))
@@ -204,21 +202,20 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
     if added.value is None:
         return estimate
     value = np.clip((estimate.value or 0.0) + added.value, 0.0, 1.0)
-    least, most = added.low or 0.0, added.high or 0.0
-
-    def lower(end: float | None) -> float | None:
-        return None if end is None else float(np.clip(end + least, 0.0, value))
-
-    def upper(end: float | None) -> float | None:
-        return None if end is None else float(np.clip(end + most, value, 1.0))
-
+    ends = []
+    for low, high in ((estimate.low, estimate.high), estimate.outer):
+        if high is None:
+            high = 1.0
+        ends.append(float(np.clip((low or 0.0) + (added.low or 0.0), 0.0, value)))
+        ends.append(float(np.clip(high + (added.high or 0.0), value, 1.0)))
+    low, high, low_unseen, high_unseen = ends
     return replace(
         estimate,
         value=value,
-        low=lower(estimate.low or 0.0),
-        high=upper(1.0 if estimate.high is None else estimate.high),
-        low_unseen=lower(estimate.low_unseen),
-        high_unseen=upper(estimate.high_unseen),
+        low=low,
+        high=high,
+        low_unseen=low_unseen,
+        high_unseen=high_unseen,
     )
 
 
@@ -230,25 +227,26 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     settled = judged.settled
     aim = judged.aim
     governing = settled.governing
-    subject = aim.design.subject(governing.limit)
     lead = judged.lead
-    none_to_use = settled.number is None or judged.contradicted
     caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
     library = _library(judged)
     target = all_modes = own = None
+    subject = aim.design.subject(lead)
+    if aim.limits[0].has_target:
+        subject = aim.design.subject(governing.limit)
+        target = lead.target
+        if governing.code == "assumed strength":
+            target = governing.limit.target
+    blocked_by = ""
     curve = []
     if judged.line is not None:
+        if settled.number is None or judged.contradicted:
+            blocked_by = subject
         if not judged.contradicted:
             own = _own(judged)
         points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
-    if aim.limits[0].has_target:
-        target = lead.target
-        if governing.code == "assumed strength":
-            target = governing.limit.target
-    else:
-        subject = aim.design.subject(lead)
     if aim.modes:
         all_modes = _range(judged.all_modes[lead.name])
     return Decision(
@@ -259,7 +257,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         target=target,
         governing=subject,
         use=_use(judged, library),
-        blocked_by=subject if judged.line is not None and none_to_use else "",
+        blocked_by=blocked_by,
         own=own,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
@@ -324,8 +322,8 @@ def _band(settled: Settled) -> list[CurvePoint]:
 def _own(judged: Judged) -> types.Doubt:
     """What sets the number to use where the study's own limits are judged alone."""
     alone = replace(judged.aim, modes=())
-    plan = Settled(aim=alone, line=judged.plan.line)
-    line = Settled(aim=alone, line=judged.settled.line)
+    plan = replace(judged.plan, aim=alone)
+    line = replace(judged.settled, aim=alone)
     judged = replace(judged, plan=plan, line=line, all_modes=judged.probability)
     return _row(judged, judged.settled.setting)
 
@@ -343,7 +341,7 @@ def _library(judged: Judged) -> LibraryRange | None:
     for law in (mode.weak, mode.strong):
         other = replace(mode, limit=replace(mode.limit, strength=law))
         taken = replace(rest, modes=(*rest.modes, other))
-        numbers.append(Settled(aim=taken, line=settled.line).number)
+        numbers.append(replace(settled, aim=taken).number)
     weak, strong = numbers
     return LibraryRange(mode=mode.called, middle=settled.number, weak=weak, strong=strong)
 
@@ -397,7 +395,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         governs=doubt.key == settled.governing.key,
         counts=code != "assumed strength" or limit in [mode.limit for mode in aim.modes],
         joint=code != "assumed strength" and settled.adds_up(limit),
-        tests=number_of_tests(strength_of(limit)),
+        tests=number_of_tests(limit.resistance),
     )
 
 
@@ -413,15 +411,14 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
         return "no target"
     if any(caveat.code != "rate" for caveat in caveats):
         return "not established"
-    kept = [_keeps(judged, doubt) for doubt in judged.plan.doubts]
-    if all(kept):
+    doubts = judged.plan.doubts
+    kept_by = [doubt.limit.name for doubt in doubts if _keeps(judged, doubt)]
+    if len(kept_by) == len(doubts):
         # an effect on the unsafe side that nobody put a number on holds only what is met
         return "not established" if caveats else "met"
     for limit in limits:
-        doubts = zip(judged.plan.doubts, kept, strict=True)
-        its_own = [keeps for doubt, keeps in doubts if doubt.limit.name == limit.name]
         met = judged.all_modes[limit.name].meets(limit.target)
-        if met is False and not any(its_own):
+        if met is False and limit.name not in kept_by:
             return "not met"
     return "undecided"
 
@@ -435,9 +432,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     limit = doubt.limit
     by_margin = True
     if margin is not None and planned is not None:
-        by_margin = planned <= margin
-        if judged.settled.safe_above and margin != math.inf:
-            by_margin = planned >= margin
+        by_margin = judged.settled.is_safe(planned, margin)
         if doubt.code != "computation":
             return by_margin
     if doubt.code == "computation":
@@ -497,7 +492,7 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     remedy = _REMEDIES.get(deciding.code)
     subject = design.subject(deciding.limit)
     if deciding.code == "tie":
-        subject = f"the dependence of {strength_name(deciding.limit.name)}"
+        subject = f"the dependence of {deciding.limit.strength_name}"
     if remedy is None and verdict == "undecided":
         remedy = "tighten the accuracy"
     if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):
@@ -521,10 +516,9 @@ def _disagreeing(judged: Judged) -> Doubt:
     computed = doubts[0]
     limit = computed.limit
     met = judged.all_modes[limit.name].meets(limit.target)
-    others = [doubt for doubt in doubts if _keeps(judged, doubt) != met]
-    if met is None or not others:
+    if met is None:
         return computed
-    return others[0]
+    return next((doubt for doubt in doubts if _keeps(judged, doubt) != met), computed)
 
 
 # --- rows of answers ------------------------------------------------------------------------------
@@ -549,9 +543,8 @@ def assumed_answers(judged: Sequence[Judged]) -> Rows:
 def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
     aim = judged.aim
     limit = doubt.limit
-    law = strength_of(doubt.limit)
+    law = limit.resistance
     subject = aim.design.subject(limit)
-    margins = aim.design.study.margins
     low = high = None
     note = ""
     if doubt.opposite is None:
@@ -585,7 +578,7 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         note=note,
     )
     margin = judged.along(doubt)
-    if margins is not None and margin is not None and math.isfinite(margin):
+    if margin is not None and math.isfinite(margin):
         yield number_row(
             subject,
             "margin",

@@ -8,13 +8,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
+from uqsphere.models.model import Model
 from uqsphere.models.scene import onset_of, paper_lines
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results.answers import answers_csv, csv_text
@@ -41,11 +42,11 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Dependence, Law
 
 from .checks import Check
-from .design import Design, demands_of, number_of_tests, strength_of
+from .design import Design, demands_of, number_of_tests
 from .failure_modes import breaks_by, means_fracture
 from .limits import state_of
 from .quantities import density
-from .tables import Tables
+from .tables import Slow, Tables
 
 #: rows of samples.csv
 MOST_ROWS = 16_384
@@ -65,22 +66,15 @@ PACKAGES = [
 ]
 
 
-class Cost(NamedTuple):
-    """What a run cost: model runs, those of them from the cache, and run time [s]."""
-
-    runs: int
-    reused: int
-    seconds: float
-
-
 def results_of(
     tables: Tables,
     answers: list[Answer],
     decisions: list[Decision],
     checks: Sequence[Check],
-    cost: Cost,
+    model: Model,
+    seconds: float,
 ) -> Results:
-    """What results.json holds."""
+    """What results.json holds, after so many seconds."""
     design = tables.design
     study = design.study
     return Results(
@@ -127,7 +121,9 @@ def results_of(
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],
             stopped=tables.stopped,
             inaccurate=[Shortfall(**answer._asdict()) for answer in tables.inaccurate],
-            **cost._asdict(),
+            runs=model.runs,
+            reused=model.reused,
+            seconds=seconds,
         ),
         versions=versions(),
     )
@@ -178,7 +174,7 @@ def free_number_of(design: Design) -> FreeNumber | None:
 
 
 def _quantity(tables: Tables, name: str) -> QuantityEntry:
-    values = tables.source.values(name)
+    values = tables.values(name)
     finite = values[np.isfinite(values)]
     places = [0.05, 0.5, 0.95]
     ends = [math.nan] * len(places)
@@ -191,20 +187,19 @@ def _quantity(tables: Tables, name: str) -> QuantityEntry:
             ends[place] = answer
     low, median, high = ends
     left = pairs = None
-    slow = tables.surrogate
     if name in tables.expansions:
         expansion = tables.expansions[name]
         left = expansion.left
         pairs = _some(tables.sample.answer(name)[1:], expansion.values)
-    elif slow is not None and slow.predicted is not None:
-        response = slow.responses[name]
+    elif isinstance(tables, Slow) and tables.predicted is not None:
+        response = tables.responses[name]
         left = response.error
         pairs = _some(response.outputs, response.levels)
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
         range=(low, median, high),
-        method_of_indices=tables.source.index_method(name),
+        method_of_indices=tables.index_method(name),
         density=density(values),
         onset=onset_of(tables.design.study) if name == "p_max" else None,
         expansion_error=left,
@@ -271,7 +266,7 @@ def _test_points(tables: Tables, limit: Limit) -> list[list[float]] | None:
     Meier, in the middle of its step.  Tests beyond the range of the free number are left out.  None
     for a strength without tests, and without [margins].
     """
-    law = strength_of(limit)
+    law = limit.resistance
     if not isinstance(law, Law) or not law.data or len(tables.line) < 2:
         return None
     strengths = np.array([*law.data, *law.censored])
@@ -328,9 +323,7 @@ def _strength_text(limit: Limit) -> str:
 
 
 def _dependence(tie: Dependence) -> DependenceEntry:
-    text = f"Spearman's rank correlation {tie.spearman or 0.0:g}"
-    if tie.kendall is not None:
-        text = f"Kendall's rank correlation {tie.kendall:g}"
+    text = tie.text
     if tie.copula != "gaussian":
         text += f", Student t copula of {tie.dof:g} degrees of freedom"
     return DependenceEntry(of=list(tie.of), text=text)
@@ -403,7 +396,7 @@ def samples_of(tables: Tables) -> dict[str, Array | Flags]:
         state = state_of(design, limit, head)
         if isinstance(state.strength, Law):
             drawn = state.tie.score_at(generator.standard_normal(state.demands.shape))
-            table[f"limits.{limit.name}.strength"] = state.strength.from_normal(drawn).ravel()
+            table[limit.strength_name] = state.strength.from_normal(drawn).ravel()
     table |= {name: head.outputs(name) for name in head.quantities}
     if head.censored.any():
         table["censored"] = head.censored.any(axis=2).ravel()

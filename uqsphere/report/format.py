@@ -17,8 +17,7 @@ from uqsphere.quantities import (
     format_value,
     lookup,
 )
-from uqsphere.results.answers import Answers
-from uqsphere.results.types import Answer, Decision, LimitEntry, Range, Results
+from uqsphere.results.types import Answer, Range
 from uqsphere.units import UNITS
 
 DASH = "–"
@@ -27,11 +26,6 @@ Estimated = Answer | Range
 _UNITS = "|".join(map(re.escape, filter(None, chain.from_iterable(UNITS.values()))))
 #: a number in front of its unit, with a blank that may break
 _SPLIT = re.compile(rf"(?<=\d) (?=(?:%|{_UNITS})(?![\w/]))")
-
-
-def table_of(results: Results) -> Answers:
-    """The answers of a run, to be looked up."""
-    return Answers(results.answers)
 
 
 def ends_of(rows: Iterable[Estimated]) -> Array:
@@ -72,33 +66,31 @@ def value_range(low: float | None, high: float | None, name: str) -> str:
     return f"{first.removesuffix(f' {unit}')} to {last}"
 
 
-def estimate(row: Estimated | None, name: str = "", most: int = 4) -> str:
+def estimate(row: Estimated, name: str = "", most: int = 4) -> str:
     """Value (low to high) with the unit; a dash with the reason if there is no value.
 
     >>> estimate(Range(value=0.5, low=0.49, high=0.51))
     '0.500 (0.490 to 0.510)'
     """
-    if row is None:
-        return DASH
     if row.value is None:
         return f"{DASH} ({row.note})".removesuffix(" ()")
     return format_estimate(row.value, row.low, row.high, name, most)
 
 
-def index(row: Estimated | None) -> str:
+def index(row: Estimated) -> str:
     """A Sobol' index with its interval, to three decimals."""
-    if row is None or row.value is None:
+    if row.value is None:
         return DASH
     return format_index(row.value, row.low, row.high)
 
 
-def probability(row: Estimated | None) -> str:
+def probability(row: Estimated) -> str:
     """A probability in per cent with its interval; a bound if only that is known.
 
-    >>> probability(Range(value=0.0, low=0.0, high=1e-3)), probability(None)
+    >>> probability(Range(value=0.0, low=0.0, high=1e-3)), probability(Range())
     ('below 0.1 %', '–')
     """
-    if row is None or (row.value is None and row.high is None):
+    if row.value is None and row.high is None:
         return DASH
     return format_probability_estimate(row.value, row.low, row.high)
 
@@ -217,16 +209,3 @@ def label(subject: str) -> str:
     if subject.startswith("modes."):
         return f"{plain_name(subject)}*"
     return plain_name(subject)
-
-
-def safe_above(decision: Decision) -> bool:
-    """Whether the number to use of a decision is the least allowable one."""
-    if decision.use is None:
-        return decision.aim == "break"
-    return decision.use.safe_end == "smallest"
-
-
-def entries_of(results: Results) -> dict[str, LimitEntry]:
-    """Limits of the study, and failure modes beside them, by their subject."""
-    entries = {f"limits.{name}": entry for name, entry in results.study.limits.items()}
-    return entries | {f"modes.{name}": entry for name, entry in results.study.modes.items()}

@@ -16,7 +16,7 @@ from uqsphere.arrays import Array, Flags, special
 from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
 
-from .format import Estimated, entries_of, label, plain_name, small, table_of, with_unit
+from .format import Estimated, label, plain_name, small, with_unit
 from .pictures import (
     BLUE,
     BROWN,
@@ -62,7 +62,7 @@ class Curve(NamedTuple):
     p: Array
     colour: str
     style: tuple[Any, float]
-    at_plan: Estimated | None
+    at_plan: Estimated
 
 
 class _Label(NamedTuple):
@@ -77,16 +77,14 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     """The curves of a run, or of one limit: limits in hues of their own, assumed strengths in
     grey, one that governs in red.  Of too many, those that are exceeded most often.
     """
-    answers = table_of(results)
     at_plan = {
-        subject: answers.get(subject, Kind.EXCEEDANCE_PROBABILITY)
-        for subject in entries_of(results)
-        if limit in (None, plain_name(subject)) and answers.where(subject, Kind.CURVE)
+        subject: results.get(subject, Kind.EXCEEDANCE_PROBABILITY)
+        for subject in results.entries
+        if limit in (None, plain_name(subject)) and results.where(subject, Kind.CURVE)
     }
 
     def exceeded(subject: str) -> float:
-        p = at_plan[subject]
-        return (p and p.value) or 0.0
+        return at_plan[subject].value or 0.0
 
     kept = sorted(at_plan, key=exceeded, reverse=True)[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
@@ -97,7 +95,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
             look = RED if subject in governing else GREY, ASSUMED
             if subject.startswith("limits."):
                 look = next(hues), LIMIT
-            x, p, *_ = _ends(answers.where(subject, Kind.CURVE))
+            x, p, *_ = _ends(results.where(subject, Kind.CURVE))
             curves.append(Curve(label(subject), x, p, *look, estimate))
     for decision in results.decisions:
         if limit is None and decision.aim == "survive" and decision.curve:

@@ -59,7 +59,7 @@ class Course(History):
         if self.values:
             title = "One impact at the numbers that were given, all others at their mean"
         table = PageTable(title, ("", "value"), history_rows(self))
-        pictures = dict(_pictures(self.study, self))
+        pictures = dict(_pictures(self))
         return render("notebook.html", title=self.study.title, tables=[table], pictures=pictures)
 
 
@@ -110,10 +110,11 @@ def history_rows(course: Course) -> list[tuple[str, str]]:
     """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
     bars.
     """
-    return list(_rows(course.study, course))
+    return list(_rows(course))
 
 
-def _rows(study: Study, course: Course) -> Iterator[tuple[str, str]]:
+def _rows(course: Course) -> Iterator[tuple[str, str]]:
+    study = course.study
     yield "mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}"
     by_wave = RIGS[study.rig].by_wave
     if by_wave and math.isfinite(course.pulse_number):
@@ -166,7 +167,7 @@ def _when(time: float | None) -> str:
     return f"{1e6 * time:.5g} us"
 
 
-def write_history(study: Study, course: History, folder: Path) -> list[str]:
+def write_history(course: Course, folder: Path) -> list[str]:
     """Write history.csv, gauges.csv and the figures; returns the names of the files."""
     import pandas as pd
 
@@ -177,13 +178,13 @@ def write_history(study: Study, course: History, folder: Path) -> list[str]:
             for record in course.gauges
         ]
         files["gauges.csv"] = pd.concat(parts).to_csv(index=False)
-    for name, picture in _pictures(study, course):
+    for name, picture in _pictures(course):
         files[f"figures/{name}.svg"] = picture.svg
     write_files(folder, files)
     return list(files)
 
 
-def _pictures(study: Study, course: History) -> Iterator[tuple[str, Picture]]:
+def _pictures(course: Course) -> Iterator[tuple[str, Picture]]:
     """The figures of a scene, and their names."""
     time = 1e6 * course.time
     for name, label, lines in (
@@ -211,7 +212,7 @@ def _pictures(study: Study, course: History) -> Iterator[tuple[str, Picture]]:
             largest = max(abs(y).max() for _, _, y in lines)
             text = f"{label} over time: {largest:.4g} at most"
             yield name, Picture(capital(label), text, drawn)
-    if RIGS[study.rig].by_wave:
+    if RIGS[course.study.rig].by_wave:
         view = view_field(course, places=150, times=150)
         largest = 1e-6 * np.abs(view.stress).max()
         text = f"Stress over place and time: {largest:.4g} MPa at most"

@@ -9,9 +9,9 @@ import numpy as np
 
 from uqsphere.arrays import Array, Names
 from uqsphere.quantities import display_unit, format_probability, format_together
-from uqsphere.results.types import Kind, QuantityEntry, Range, Results
+from uqsphere.results.types import Kind, QuantityEntry, Results
 
-from .format import ends_of, meaning, table_of, with_unit
+from .format import ends_of, meaning, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -123,8 +123,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False)
-    width = axes.get_window_extent().width
-    letter = LETTER * axes.figure.dpi / 72.0 / width * (high - low)
+    letter = LETTER * axes.figure.dpi / 72.0 / axes.get_window_extent().width * (high - low)
     for row, (place, height, text) in enumerate(sorted(names)):
         half = 0.5 * letter * len(text)
         inside = max(min(place, high - half), low + half)
@@ -189,15 +188,13 @@ class Indices(NamedTuple):
 
 def indices_of(results: Results, quantities: Names) -> list[Indices]:
     """Sobol' indices of some quantities, the inputs in one order: the largest total first."""
-    answers = table_of(results)
     inputs = ranked_inputs(results, quantities)[:MOST_INPUTS]
     names = [_brief(meaning(name)) for name in inputs]
     columns = []
     for quantity in quantities:
         orders = []
         for kind in (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL):
-            rows = [answers.get(quantity, kind, name) or Range() for name in inputs]
-            orders.append(ends_of(rows))
+            orders.append(ends_of(results.get(quantity, kind, name) for name in inputs))
         if np.isfinite(orders[1][0]).any():
             name = meaning(quantity).removeprefix("equivalent ")
             columns.append(Indices(name, names, *orders))

@@ -33,7 +33,6 @@ from .format import (
     plain_name,
     plain_probability,
     probability,
-    safe_above,
     small,
     value,
 )
@@ -64,7 +63,7 @@ class DecisionText:
         self.results, self.decision = results, decision
         self.aim = f"To {decision.aim}"
         self._free = results.study.free
-        self._safe_above = safe_above(decision)
+        self._safe_above = decision.safe_above
         #: the doubt that sets the number to use
         self._governing = [doubt for doubt in decision.doubts if doubt.governs]
 
@@ -215,9 +214,9 @@ class DecisionText:
     @property
     def _kept_everywhere(self) -> bool:
         """Whether every doubt keeps its target in the whole range."""
-        margins = [doubt for doubt in self.decision.doubts if doubt.code != "assumed strength"]
-        kept = bool(margins) and all(doubt.margin_note == "everywhere" for doubt in margins)
-        return kept and not self.decision.blocked_by
+        doubts = [doubt for doubt in self.decision.doubts if doubt.code != "assumed strength"]
+        notes = {doubt.margin_note for doubt in doubts}
+        return notes == {"everywhere"} and not self.decision.blocked_by
 
     @property
     def _ends(self) -> str:
@@ -277,8 +276,11 @@ class DecisionText:
         """The doubt that sets the number, if any: the one that governs, but where that is what adds
         most failures and another has the more conservative margin.
         """
-        doubts = [doubt for doubt in self.decision.doubts if doubt.margin is not None]
-        doubts = [doubt for doubt in doubts if doubt.code != "assumed strength"]
+        doubts = [
+            doubt
+            for doubt in self.decision.doubts
+            if doubt.margin is not None and doubt.code != "assumed strength"
+        ]
         if self.decision.use is None or not doubts:
             return self._governing[:1]
         number = self.number

@@ -48,10 +48,7 @@ def study_html(study: Study) -> str:
 
 def _ties(study: Study) -> Iterator[str]:
     for tie in study.dependence:
-        text = f"Spearman's rank correlation {tie.spearman or 0.0:g}"
-        if tie.kendall is not None:
-            text = f"Kendall's rank correlation {tie.kendall:g}"
-        yield f"dependence: {', '.join(tie.of)}: {text}"
+        yield f"dependence: {', '.join(tie.of)}: {tie.text}"
 
 
 def _tables(study: Study) -> Iterator[PageTable]:
@@ -157,7 +154,7 @@ def cost(study: Study) -> str:
         _, tables = judge(model, tables, began + budget.time)
     took = time.monotonic() - began
     runs, error = tables.reached[-1]
-    error = max(error or 0.0, 1.0)
+    error = max(error, 1.0)
     # the error falls with the runs n as n^(-1) to n^(-3/4)
     needed = np.clip(runs * error ** np.array([1.0, 4.0 / 3.0]), first, budget.evaluations)
     seconds = took + needed * each + REPORT_SECONDS

@@ -20,7 +20,7 @@ from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.results import Run, open_run
-from uqsphere.results.folder import SUMS, locked, write_files
+from uqsphere.results.folder import locked, sums_of, write_files
 from uqsphere.results.types import Decision, Results
 from uqsphere.study import Study
 
@@ -165,9 +165,7 @@ def point_files(
             seconds=seconds,
             progress=lambda *_: None,
         )
-        sums = (folder / SUMS).read_text(encoding="utf-8").splitlines()
-        names = [line.partition("  ")[2] for line in sums]
-        return {name: (folder / name).read_bytes() for name in names}
+        return {name: (folder / name).read_bytes() for name in sums_of(folder)}
 
 
 def run_on_cluster(

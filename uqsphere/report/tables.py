@@ -8,7 +8,6 @@ from typing import NamedTuple, TypeAlias
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_probability, format_together
-from uqsphere.results.answers import Answers
 from uqsphere.results.types import (
     Answer,
     Decision,
@@ -25,15 +24,12 @@ from uqsphere.uq import LEVEL_TEXT
 from .format import (
     DASH,
     capital,
-    entries_of,
     estimate,
     index,
     label,
     meaning,
     probability,
-    safe_above,
     source_text,
-    table_of,
     title_of,
     value,
     value_range,
@@ -121,7 +117,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     if free is None:
         return PageTable()
     sign = 1.0
-    if safe_above(decision):
+    if decision.safe_above:
         sign = -1.0
 
     def order(doubt: Doubt) -> float:
@@ -157,25 +153,24 @@ def certificate(results: Results, decision: Decision) -> PageTable:
 
 def limits(results: Results) -> PageTable:
     """One line a limit or failure mode, and one for those of an aim together."""
-    entries = entries_of(results)
+    entries = results.entries
     free = results.study.free
-    answers = table_of(results)
     head = ["limit", f"{exceedance_name(results)} at the plan", "β"]
     if free is not None:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
     rows = list[Row]()
     aims = [entry.aim for entry in entries.values()]
     for subject, entry in entries.items():
-        p = probability(answers.get(subject, Kind.EXCEEDANCE_PROBABILITY))
-        beta = answers.get(subject, Kind.RELIABILITY_INDEX)
+        p = probability(results.get(subject, Kind.EXCEEDANCE_PROBABILITY))
+        beta = results.get(subject, Kind.RELIABILITY_INDEX)
         cells = [label(subject), p, DASH]
-        if beta is not None and beta.value is not None:
+        if beta.value is not None:
             # of the probability beside it
             cells[2] = f"{-beta.value if entry.aim == 'break' else beta.value:.2f}"
         if free is not None:
             best = DASH
             if entry.aim in {decision.aim for decision in results.decisions}:
-                best = _best_estimate(answers, subject, entry, free)
+                best = _best_estimate(results, subject, entry, free)
             cells.append(best)
             alone = aims.count(entry.aim) == 1
             cells += _number_to_use(results, subject, free.quantity) if alone else ["", ""]
@@ -208,11 +203,11 @@ def limits(results: Results) -> PageTable:
     )
 
 
-def _best_estimate(answers: Answers, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
+def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
-    row = answers.get(subject, Kind.MARGIN, entry.allowable)
-    if row is None:
+    if not results.where(subject, Kind.MARGIN):
         return DASH
+    row = results.get(subject, Kind.MARGIN, entry.allowable)
     if row.value is None:
         return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
     return value(row.value, free.quantity)
@@ -226,7 +221,7 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
         if any(doubt.margin_note == "nowhere" for doubt in doubts):
             return ["none", DASH]
         if margins:
-            worst = max if safe_above(decision) else min
+            worst = max if decision.safe_above else min
             number = DecisionText(results, decision).number(worst(margins))
             return [number, value_range(min(margins), max(margins), path)]
         if doubts:
@@ -266,10 +261,9 @@ def _strength_source(entry: LimitEntry) -> str:
 def assumptions(results: Results) -> PageTable:
     """Fracture probabilities under other assumptions, one at a time."""
     rows = []
-    answers = table_of(results)
     event = exceedance_name(results)
-    for subject, entry in entries_of(results).items():
-        for row in answers.where(subject, Kind.FAILURE_PROBABILITY):
+    for subject, entry in results.entries.items():
+        for row in results.where(subject, Kind.FAILURE_PROBABILITY):
             _, sign, assumed = str(row.at).partition("assumed: ")
             if sign:
                 rows.append((label(subject), assumed, probability(as_event(entry.aim, row))))
@@ -282,20 +276,18 @@ def assumptions(results: Results) -> PageTable:
 
 def fracture(results: Results) -> PageTable:
     """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
-    answers = table_of(results)
-    joint = answers.get("fracture", Kind.EXCEEDANCE_PROBABILITY)
-    if joint is None:
-        return PageTable()
-    rows = [("fracture probability", probability(joint))]
-    for row in answers.where("fracture", Kind.MODE_SHARE):
+    rows = []
+    for row in results.where("fracture", Kind.EXCEEDANCE_PROBABILITY):
+        rows.append(("fracture probability", probability(row)))
+    for row in results.where("fracture", Kind.MODE_SHARE):
         rows.append((f"first failure mode: {row.at}", probability(row)))
     for kind, quantity in (
         (Kind.TIME_AT_FRACTURE, "contact_duration"),
         (Kind.FORCE_AT_FRACTURE, "P_max"),
     ):
-        median = answers.get("fracture", kind, 0.5)
-        if median is not None:
-            rows.append((f"{kind.replace('_', ' ')}, median", estimate(median, quantity)))
+        for row in results.where("fracture", kind):
+            if row.at == 0.5:
+                rows.append((f"{kind.replace('_', ' ')}, median", estimate(row, quantity)))
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),
@@ -310,15 +302,14 @@ def fracture(results: Results) -> PageTable:
 
 def quantities(results: Results) -> PageTable:
     """Distributions: one row a quantity."""
-    answers = table_of(results)
     rows = []
     entries = results.study.quantities
-    quantiles = [row for row in results.answers if row.answer == Kind.QUANTILE]
-    places = dict.fromkeys(float(row.at) for row in quantiles if row.subject in entries)
+    quantiles = itertools.chain(*(results.where(name, Kind.QUANTILE) for name in entries))
+    places = dict.fromkeys(float(row.at) for row in quantiles)
     for name in entries:
-        mean = estimate(answers.get(name, Kind.MEAN), name)
-        sd = estimate(answers.get(name, Kind.SD), name, 3)
-        cells = (estimate(answers.get(name, Kind.QUANTILE, p), name) for p in places)
+        mean = estimate(results.get(name, Kind.MEAN), name)
+        sd = estimate(results.get(name, Kind.SD), name, 3)
+        cells = (estimate(results.get(name, Kind.QUANTILE, p), name) for p in places)
         rows.append((title_of(name), mean, sd, *cells))
     return PageTable(
         "Distributions at the plan",
@@ -330,20 +321,18 @@ def quantities(results: Results) -> PageTable:
 
 def with_indices(results: Results) -> list[str]:
     """Quantities that have Sobol' indices."""
-    answers = table_of(results)
-    return [name for name in results.study.quantities if answers.where(name, Kind.SOBOL_TOTAL)]
+    return [name for name in results.study.quantities if results.where(name, Kind.SOBOL_TOTAL)]
 
 
 def indices(results: Results) -> PageTable:
     """First-order and total Sobol' indices: a row an input, the largest total first."""
-    answers = table_of(results)
     entries = results.study.quantities
     names = with_indices(results)
     ranked = ranked_inputs(results, names)
     orders = list(itertools.product(names, (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)))
     rows = []
     for at in ranked[:MOST_ROWS]:
-        cells = (index(answers.get(name, kind, at)) for name, kind in orders)
+        cells = (index(results.get(name, kind, at)) for name, kind in orders)
         rows.append((meaning(at), *cells))
     if results.study.dependence and not ranked:
         rows.append(("none: tied inputs have no Sobol’ indices", *[DASH] * len(orders)))
@@ -366,17 +355,16 @@ def indices(results: Results) -> PageTable:
 def margins(results: Results) -> PageTable:
     """The free number at the probabilities that were asked for, a column a limit of the study."""
     free = results.study.free
-    answers = table_of(results)
     if free is None:
         return PageTable()
     asked = dict[str, list[float]]()
     for name in results.study.limits:
-        for row in answers.where(f"limits.{name}", Kind.MARGIN):
+        for row in results.where(f"limits.{name}", Kind.MARGIN):
             if isinstance(row.at, float) and row.value is not None:
                 asked.setdefault(name, []).append(row.at)
     body = []
     for p in sorted({*itertools.chain(*asked.values())}):
-        margins = (answers.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
+        margins = (results.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
         body.append((format_probability(p), *(estimate(row, free.quantity) for row in margins)))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results)}",
@@ -387,14 +375,13 @@ def margins(results: Results) -> PageTable:
 
 def drivers(results: Results) -> Iterator[PageTable]:
     """Sensitivity of each failure probability, and design points: a column a limit."""
-    answers = table_of(results)
     largest = dict[str, float]()
     changes = {}
     points = dict[str, dict[str, str]]()
-    for subject, entry in entries_of(results).items():
+    for subject, entry in results.entries.items():
         # failure is to stay whole where the aim is to break
         per_cent = -100.0 if entry.aim == "break" else 100.0
-        rows = answers.where(subject, Kind.DRIVER)
+        rows = results.where(subject, Kind.DRIVER)
         moved = {_variable(row): per_cent * (row.value or 0.0) for row in rows}
         most = max(map(abs, moved.values()), default=0.0)
         if most == 0.0:
@@ -405,7 +392,7 @@ def drivers(results: Results) -> Iterator[PageTable]:
         changes[label(subject)] = {name: format(x, form) for name, x in moved.items()}
         for name, x in moved.items():
             largest[name] = max(largest.get(name, 0.0), abs(x))
-        for row in answers.where(subject, Kind.DESIGN_POINT):
+        for row in results.where(subject, Kind.DESIGN_POINT):
             name = _variable(row)
             text = value(row.value, name or entry.quantity)
             if not name and entry.tests:  # in terms of the test force
@@ -457,10 +444,9 @@ def random_inputs(results: Results) -> PageTable:
     rows = []
     for name, entry in results.inputs.items():
         if not entry.fixed:
-            sd = value(entry.sd, name)
             span = value_range(entry.p05, entry.p95, name)
             title, mean, source = _input(name, entry)
-            rows.append((title, entry.distribution, mean, sd, span, source))
+            rows.append((title, entry.distribution, mean, value(entry.sd, name), span, source))
     return PageTable(
         "Random inputs",
         ("input", "distribution", "mean", "sd", "5–95 % range", "source"),

@@ -23,23 +23,8 @@ Rows: TypeAlias = Iterator[Answer]
 COLUMNS = tuple(Answer.model_fields)
 
 
-class Answers:
-    """Rows of answers, looked up by subject, answer and place."""
-
-    def __init__(self, rows: Iterable[Answer]) -> None:
-        self.rows = list(rows)
-
-    def get(self, subject: str, answer: str, at: float | str = "") -> Answer | None:
-        """The row of an answer, None where there is none."""
-        return next((row for row in self.where(subject, answer) if row.at == at), None)
-
-    def where(self, subject: str, answer: str) -> list[Answer]:
-        """All rows of an answer, in the order of their places."""
-        return [row for row in self.rows if row.subject == subject and row.answer == answer]
-
-
 def estimate_row(
-    subject: str, answer: str, at: float | str, estimate: Estimate, **origin: Any
+    subject: str, answer: str, estimate: Estimate, at: float | str = "", **origin: Any
 ) -> Answer:
     """A row of an estimate, with its runs; one without a value leaves its reason as the note."""
     low, high = estimate.outer

@@ -91,7 +91,7 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     Raises AccessError where the system refuses (a full disk, no permission); the files before are
     then unchanged.
     """
-    before = _sums(folder)
+    before = sums_of(folder)
     kept = HISTORY if RESULTS in files else before.keys()
     sums = {name: digest for name, digest in before.items() if name in kept}
     contents = {
@@ -139,12 +139,12 @@ def read_checked(folder: Path, name: str) -> bytes:
         if path.is_symlink() or not path.is_file():
             raise FolderError(f"{as_text(folder)} does not contain {name}")
         content = path.read_bytes()
-    if hashlib.sha256(content).hexdigest() != _sums(folder).get(name):
+    if hashlib.sha256(content).hexdigest() != sums_of(folder).get(name):
         raise FolderError(f"{as_text(path)} is not as it was written. {_AGAIN}")
     return content
 
 
-def _sums(folder: Path) -> dict[str, str]:
+def sums_of(folder: Path) -> dict[str, str]:
     """Checksums by file; none where there is no such list."""
     sums = {}
     with contextlib.suppress(OSError, ValueError):
@@ -185,7 +185,7 @@ def damaged_files(folder: Path) -> list[str]:
 
     The log and the cache of answers have no checksum here.  Raises FolderError without checksums.
     """
-    sums = _sums(folder)
+    sums = sums_of(folder)
     if not sums:
         raise FolderError(
             f"{as_text(folder)} does not contain {SUMS}: it is not a results directory, or an "

@@ -171,9 +171,7 @@ class Run:
         return Plots(self.results)
 
     def _subject(self, limit: str) -> str:
-        study = self.results.study
-        names = {f"limits.{name}": name for name in study.limits}
-        names |= {f"modes.{name}": name for name in study.modes}
+        names = {subject: subject.partition(".")[2] for subject in self.results.entries}
         for subject, name in names.items():
             if limit in (subject, name):
                 return subject

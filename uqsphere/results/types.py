@@ -11,9 +11,6 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
-#: version of results.json
-SCHEMA_VERSION: Final = 3
-
 
 def _finite(number: Any) -> Any:
     return None if isinstance(number, float) and not math.isfinite(number) else number
@@ -522,6 +519,13 @@ class Decision(Part):
     library: LibraryRange | None = None
     next: Remedy
 
+    @property
+    def safe_above(self) -> bool:
+        """Whether the number to use is the least allowable one."""
+        if self.use is None:
+            return self.aim == "break"
+        return self.use.safe_end == "smallest"
+
 
 # --- checks, accuracy, and the whole --------------------------------------------------------------
 
@@ -584,7 +588,7 @@ class AccuracyEntry(Part):
 class Results(Part):
     """Everything that a run tells: results.json."""
 
-    schema_version: Literal[3] = SCHEMA_VERSION
+    schema_version: Literal[3] = 3
     study: StudyEntry
     inputs: dict[str, InputEntry]
     answers: list[Answer]
@@ -596,6 +600,20 @@ class Results(Part):
     """the paper's numbers beside the corrected ones"""
     accuracy: AccuracyEntry
     versions: dict[str, str]
+
+    @property
+    def entries(self) -> dict[str, LimitEntry]:
+        """Limits of the study, and failure modes beside them, by their subject."""
+        limits = {f"limits.{name}": entry for name, entry in self.study.limits.items()}
+        return limits | {f"modes.{name}": entry for name, entry in self.study.modes.items()}
+
+    def get(self, subject: str, answer: Kind, at: float | str = "") -> Answer | Range:
+        """The row of an answer; an empty range where there is none."""
+        return next((row for row in self.where(subject, answer) if row.at == at), Range())
+
+    def where(self, subject: str, answer: Kind) -> list[Answer]:
+        """All rows of an answer, in the order of their places."""
+        return [row for row in self.answers if row.subject == subject and row.answer == answer]
 
     def to_json(self) -> str:
         """The text of results.json."""

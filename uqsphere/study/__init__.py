@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .document import Margins, json_schema, limit_of
 from .load import load_study
-from .study import Limit, Study, default_target, strength_name
+from .study import Limit, Study, default_target
 from .values import NOTABLE
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "limit_of",
     "load_study",
     "shipped_studies",
-    "strength_name",
 ]
 
 

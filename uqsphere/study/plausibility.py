@@ -15,7 +15,7 @@ from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
 from uqsphere.uq.fitting import is_fitted, modulus_of
 
-from .study import Draft, Limit, strength_name
+from .study import Draft, Limit
 
 #: the library's range of a property, and of which solids
 Range: TypeAlias = tuple[float, float, str]
@@ -148,7 +148,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     hint = ""
     if mode.strength == "tensile_strength":
         hint = ". Is it a compressive strength? Enter the tensile one, commonly a tenth of it"
-    strength = draft.mean(strength_name(limit.name))
+    strength = draft.mean(limit.strength_name)
     _compare(draft, limit.quantity, strength, like.range_of(mode.strength, diameter), hint)
 
 

@@ -67,6 +67,35 @@ class Limit:
         return self.criterion, self.parameters
 
     @property
+    def strength_name(self) -> str:
+        """The path of its strength."""
+        return f"limits.{self.name}.strength"
+
+    @property
+    def resistance(self) -> Law | float:
+        """What demands are held against: the distribution of the force of its crushing tests, or
+        its strength.
+        """
+        if self.tested is None or self.tested.law is None:
+            return self.strength
+        return self.tested.law
+
+    @property
+    def by_force(self) -> bool:
+        """Whether it is held against the force of crushing tests, or against draws with a law of
+        size.
+        """
+        tested = self.tested
+        return tested is not None and (tested.law is not None or tested.exponent != 0.0)
+
+    @property
+    def column(self) -> str:
+        """The column of a sample that it is held against."""
+        if self.by_force:
+            return f"limits.{self.name}.test_force"
+        return self.quantity
+
+    @property
     def allowable(self) -> float:
         """The probability of exceedance at which the target is just met."""
         return float(self.missed(self.target))
@@ -361,11 +390,6 @@ def scene_with(
         hardness_at_onset="contact.hardness" in options,
         record=record,
     )
-
-
-def strength_name(limit: str) -> str:
-    """The path of a limit's strength."""
-    return f"limits.{limit}.strength"
 
 
 # --- a study while it is read ---------------------------------------------------------------------

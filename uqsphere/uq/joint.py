@@ -125,6 +125,13 @@ class Dependence:
     copula: str = "gaussian"
     dof: float | None = None
 
+    @property
+    def text(self) -> str:
+        """The rank correlation in words."""
+        if self.kendall is None:
+            return f"Spearman's rank correlation {self.spearman or 0.0:g}"
+        return f"Kendall's rank correlation {self.kendall:g}"
+
     def make_copula(self) -> Copula:
         """The copula of all pairs; raises LawError (keys "copula", "of", "spearman", "kendall",
         "dof").
