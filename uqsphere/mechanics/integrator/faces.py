@@ -273,6 +273,9 @@ def largest_force(s, j):
 @compiled
 def tail_level(s, j):
     """Approach above the dents below which both forces are TAIL_SHARE of the largest so far."""
+    lane = s.lane[j]
+    if not lane.by_law:
+        return s.share * max(lane.peak[0], lane.peak[1])
     stiffest = 0.0
     for m in range(j, PAIR, LANES):
         stiffest = max(stiffest, max(s.spring[m], s.stiffness[m]))
