@@ -38,7 +38,6 @@ from .compiled import compiled
 from .faces import (
     MOST_TURNS,
     face_force,
-    follows_law,
     largest_approach,
     most_force,
     new_faces,
@@ -149,7 +148,7 @@ def _enter(s, j, r, rows):
     lane.end = rows.horizon[r]
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
     new_faces(s, j, rows.poles[r])
-    lane.by_law = follows_law(s, j)
+    lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
     quickest = max(1.0 / rows.mass[r], 1.0)
     stiffest = 1.0
     # first guesses: scales that are too small cost steps, too large ones accuracy
