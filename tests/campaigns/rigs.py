@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from tests.campaigns import options
-from tests.mechanics.test_rigs_kernel import RIGID, Row, arguments, rig, second
+from tests.mechanics.test_rigs_kernel import RIGID, TASK, Row, arguments, rig, second
 from uqsphere.mechanics.integrator import solve, tracked
 
 #: what stands ahead of the sphere, and whether something falls on it from behind
@@ -100,7 +101,7 @@ def main() -> None:
     ]
     given = arguments([row for _, row in rows])
     wanted = tracked.WANT_CONTACT if chosen.alone else tracked.WANT_ALL
-    found = solve.look_closer(given, solve.Task(tolerance=TOLERANCE, wanted=wanted))
+    found = solve.look_closer(given, replace(TASK, tolerance=TOLERANCE, wanted=wanted))
     worst: dict[Any, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     status = Counter(found["status"].tolist())
     for i, (stratum, row) in enumerate(rows):

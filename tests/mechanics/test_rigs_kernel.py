@@ -5,6 +5,7 @@ scaled scenes.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,8 +70,21 @@ def arguments(rows: list[Row]) -> tracked.Rows:
     )
 
 
+#: all answers of other rigs than bars
+TASK = Task(
+    mode=tracked.FULL,
+    wanted=tracked.WANT_ALL,
+    tolerance=1e-8,
+    requested=1e-8,
+    has_laws=True,
+    rigged=True,
+    stop_at_loss=True,
+)
+
+
 def kernel(rows: list[Row], tolerance: float = 1e-8) -> Any:
-    answers, _ = march_rows(arguments(rows), Task(tolerance=tolerance, requested=tolerance))
+    task = replace(TASK, tolerance=tolerance, requested=tolerance)
+    answers, _ = march_rows(arguments(rows), task)
     return answers
 
 
@@ -264,7 +278,7 @@ def test_the_bodies_never_close() -> None:
 def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
     given = arguments([rig(speed=1.0, B={})])
     given.horizon[:] = 1.0
-    answers, _ = march_rows(given, Task(tolerance=1e-6))
+    answers, _ = march_rows(given, replace(TASK, tolerance=1e-6))
     assert answers["status"][0] == tracked.STILL_PRESSED
 
 

@@ -21,6 +21,8 @@ from .scene import STATUS, STRIKER_COLUMNS, Scene
 DURATION_FACTOR = 6.715
 #: integral of sin^(3/2)(pi x) from 0 to 1: Gamma(5/4)/(sqrt(pi) Gamma(7/4))
 _SINE_IMPULSE = math.gamma(1.25) / (math.sqrt(math.pi) * math.gamma(1.75))
+#: relative error of the integration of the full model
+_TOLERANCE = 1e-8
 #: end of an endless step, in t_c, by which the approach has settled to nine digits
 _SETTLED = 30.0
 #: what is wrong with each formula
@@ -108,11 +110,11 @@ def paper_line(value: PaperValue) -> PaperLine:
     )
 
 
-def compare_with_paper(scene: Scene, *, tolerance: float = 1e-8) -> tuple[PaperValue, ...]:
+def compare_with_paper(scene: Scene) -> tuple[PaperValue, ...]:
     """The paper's printed values beside the corrected ones and the full model's, for the first row.
 
-    tolerance: relative error of the integration of the full model.  Returns one `PaperValue` a
-    formula, in the order of the paper.  ValueError if it lies outside the domain of the model.
+    Returns one `PaperValue` a formula, in the order of the paper.  ValueError if it lies outside
+    the domain of the model.
     """
     scene = scene.at(slice(1))
     (status,) = scene.status.tolist()
@@ -125,7 +127,7 @@ def compare_with_paper(scene: Scene, *, tolerance: float = 1e-8) -> tuple[PaperV
         horizon = scene.horizon or float(scene.record_end[0])
         shape = "step"
     corrected = solve_closed(_in_infinite_bars(scene, shape, horizon), "massless")
-    full = solve(scene, tolerance=tolerance)
+    full = solve(scene, tolerance=_TOLERANCE)
     scales = scene.scales.at(0)
     speed = float(scene.columns["striker.speed"][0])
     # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
@@ -162,7 +164,7 @@ def compare_with_paper(scene: Scene, *, tolerance: float = 1e-8) -> tuple[PaperV
         of("contact_duration", equivalent_duration(duration), _SINE),
         of("time_to_first_loss", duration, loss),
         of("rise_time", rise_time(duration), _SINE),
-        *_approaches(scene, alpha, duration, tolerance),
+        *_approaches(scene, alpha, duration),
     )
 
 
@@ -180,14 +182,14 @@ def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) ->
     )
 
 
-def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -> list[PaperValue]:
+def _approaches(scene: Scene, alpha: float, duration: float) -> list[PaperValue]:
     """Approaches at single instants, and the plateau of the linear contact."""
     scales = scene.scales.at(0)
     time = scales.time
     theta = scales.duration / time
     impedance = scales.impedance
     beta = scales.hertz_constant
-    course = motion(scene, 0, tolerance=tolerance)
+    course = motion(scene, 0, tolerance=_TOLERANCE)
 
     def at(key: str, name: str, s: float, printed: Values, note: str) -> PaperValue:
         """The approach at the time s over t_c; no full value after the end of the motion."""
@@ -220,7 +222,7 @@ def _approaches(scene: Scene, alpha: float, duration: float, tolerance: float) -
         name="approach after an endless step, linear contact",
         printed=speed * impedance / stiffness,
         corrected=0.5 * speed * impedance / stiffness,
-        full=_settled(scene, tolerance),
+        full=_settled(scene),
         unit_of="alpha_max",
         note="(4.10) lacks a factor 1/2; stiffness: secant of Hertz at alpha_max",
     )
@@ -255,9 +257,9 @@ def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:
     )
 
 
-def _settled(scene: Scene, tolerance: float) -> float:
+def _settled(scene: Scene) -> float:
     """Approach [m] of the full model at the end of an endless step in infinite bars."""
     scales = scene.scales.at(0)
     horizon = _SETTLED * max(1.0, scales.mass_number) * scales.time
-    course = motion(_in_infinite_bars(scene, "step", horizon), 0, tolerance=tolerance)
+    course = motion(_in_infinite_bars(scene, "step", horizon), 0, tolerance=_TOLERANCE)
     return float(course.states_at(np.array([horizon]))[0, :2].mean())

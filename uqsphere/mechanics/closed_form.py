@@ -53,6 +53,7 @@ def _time_at_root(root: Array, minus_log: Array) -> Array:
     return (2.0 / 3.0) * (minus_log + 0.5 * np.log1p(root + root * root) - math.sqrt(3.0) * angle)
 
 
+@quiet
 def loading_time(x: Values) -> Array:
     """Scaled time s at which the massless sphere has the approach x, 0 <= x <= 1, theory (11).
 
@@ -65,8 +66,7 @@ def loading_time(x: Values) -> Array:
     """
     x = np.asarray(x, dtype=float)
     root = np.sqrt(x)
-    with np.errstate(divide="ignore"):
-        closed = _time_at_root(root, -np.log1p(-root))
+    closed = _time_at_root(root, -np.log1p(-root))
     return np.where(x < _SERIES_BELOW, _series(np.minimum(x, _SERIES_BELOW)), closed)
 
 
@@ -119,6 +119,7 @@ def relaxing_time(start: Values, x: Values) -> Values:
     return 2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start))
 
 
+@quiet
 def massless_approach(s: Values, theta: Values) -> Array:
     """Scaled approach of the massless sphere under a rectangular pulse of length theta.
 
@@ -130,8 +131,7 @@ def massless_approach(s: Values, theta: Values) -> Array:
     s = np.asarray(s, dtype=float)
     theta = np.asarray(theta, dtype=float)
     loading = loading_approach(np.minimum(s, theta))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relaxing = relaxing_approach(loading, np.maximum(s - theta, 0.0))
+    relaxing = relaxing_approach(loading, np.maximum(s - theta, 0.0))
     return np.where(s > theta, relaxing, loading)
 
 

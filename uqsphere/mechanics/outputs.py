@@ -80,12 +80,14 @@ class Columns(dict[str, Any]):
     A value is a column, or a function without arguments that returns it when it is first read.
     """
 
+    @quiet
     def __getitem__(self, name: str) -> Values:
         source = self.get(name)
-        if source is None or callable(source):
-            with np.errstate(all="ignore"):
-                source = self._quantity(name) if source is None else source()
-            self[name] = source
+        if source is None:
+            source = self._quantity(name)
+        elif callable(source):
+            source = source()
+        self[name] = source
         return source
 
     def _quantity(self, name: str) -> Values:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, ColumnMap, Flags, Values, frozen
+from uqsphere.arrays import Array, ColumnMap, Flags, Values, frozen, quiet
 
 #: default level of the valley of a two-peak pulse, over the lower peak
 DEFAULT_VALLEY = 0.75
@@ -65,6 +65,7 @@ def _pieces(breaks: list[Array], cubics: list[Array], valid: Flags) -> Pulse:
     )
 
 
+@quiet
 def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     """Steps of a pulse from strikers with the impedance ratio Z_s/Z (n,), theory section 7.
 
@@ -77,12 +78,11 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
     """
     ratio = np.array(ratio, dtype=float, ndmin=2).T
-    with np.errstate(all="ignore"):
-        left = np.maximum((ratio - 1.0) / (ratio + 1.0), 0.0)
-        shares = left ** np.arange(_MOST_STEPS)
-        shares = np.where(shares >= _FAINT_STEP, shares, 0.0)
-        complete = left[:, 0] ** _MOST_STEPS < _FAINT_STEP
-        levels = 2.0 * ratio / (1.0 + ratio) * shares
+    left = np.maximum((ratio - 1.0) / (ratio + 1.0), 0.0)
+    shares = left ** np.arange(_MOST_STEPS)
+    shares = np.where(shares >= _FAINT_STEP, shares, 0.0)
+    complete = left[:, 0] ** _MOST_STEPS < _FAINT_STEP
+    levels = 2.0 * ratio / (1.0 + ratio) * shares
     used = (shares > 0.0).sum(axis=1).max(initial=1)
     return levels[:, :used], complete
 
@@ -176,6 +176,7 @@ PRESETS = {
 }
 
 
+@quiet
 def build_pulse(shape: str, duration: Values, numbers: ColumnMap | None = None) -> Pulse:
     """Pulses of n rows, of a shape of `SHAPES`.
 
@@ -193,8 +194,7 @@ def build_pulse(shape: str, duration: Values, numbers: ColumnMap | None = None) 
         name: np.broadcast_to(np.array(value, dtype=float), duration.shape)
         for name, value in (numbers or {}).items()
     }
-    with np.errstate(all="ignore"):
-        return SHAPES[shape](duration, columns)
+    return SHAPES[shape](duration, columns)
 
 
 def pulse_value(pulse: Pulse, row: int, times: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from . import tracked
 from .compiled import compiled
-from .faces import ARMED, approach_at, face_force, face_yielded, stored_energy
+from .faces import ARMED, approach_at, face_force, face_yielded, stored_energy, tail_level
 from .incoming import heard
 from .tracked import (
     DIFFERENCE,
@@ -453,7 +453,7 @@ def after_step(s, j):
             lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
     if lane.low > 0.0:  # the record ends below a share of the largest approach
         if not lane.by_law:
-            lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
+            lane.low = tail_level(s, j)
         at = _both_below(s, j, lane.low, ends)
         if at <= ends:
             ends = at

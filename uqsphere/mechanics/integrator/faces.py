@@ -136,24 +136,9 @@ def press_deeper(s, j):
 
 
 @compiled
-def on_virgin_loading(s, j):
-    """Whether a face of a j yields now."""
-    return s.spring[j] == 0.0 or s.spring[LANES + j] == 0.0
-
-
-@compiled
 def face_yielded(s, m):
     """Whether a face has yielded, or does."""
     return s.spring[m] == 0.0 or s.largest[m] > s.onset[m]
-
-
-@compiled
-def follows_law(s, j):
-    """Whether the force of a face of a j is no longer x^(3/2): it has yielded, or the faces
-    differ.
-    """
-    differ = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
-    return differ or face_yielded(s, j) or face_yielded(s, LANES + j)
 
 
 @compiled
@@ -273,6 +258,9 @@ def largest_force(s, j):
 @compiled
 def tail_level(s, j):
     """Approach above the dents below which both forces are TAIL_SHARE of the largest so far."""
+    lane = s.lane[j]
+    if not lane.by_law:
+        return s.share * max(lane.peak[0], lane.peak[1])
     stiffest = 0.0
     for m in range(j, PAIR, LANES):
         stiffest = max(stiffest, max(s.spring[m], s.stiffness[m]))

@@ -38,7 +38,6 @@ from .compiled import compiled
 from .faces import (
     MOST_TURNS,
     face_force,
-    follows_law,
     largest_approach,
     most_force,
     new_faces,
@@ -49,19 +48,7 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import (
-    FACE_A,
-    FACE_B,
-    FULL,
-    GOES_ON,
-    LANES,
-    LINEAR,
-    MASSLESS,
-    PAIR,
-    POINTS,
-    TERMS,
-    End,
-)
+from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -161,7 +148,7 @@ def _enter(s, j, r, rows):
     lane.end = rows.horizon[r]
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
     new_faces(s, j, rows.poles[r])
-    lane.by_law = follows_law(s, j)
+    lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
     quickest = max(1.0 / rows.mass[r], 1.0)
     stiffest = 1.0
     # first guesses: scales that are too small cost steps, too large ones accuracy
@@ -241,7 +228,7 @@ def _try_step(s, j):
     if lane.touching:
         # `step_from_touch` errs by a few thousandths of the impulse of the force, 0.4 h^2.5 where
         # the approach rises as the time does
-        brief = (1e2 * s.error[j] * min(1.0, 1.0 / lane.quickest) * scale) ** 0.4
+        brief = (1e2 * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
         # and by the wave that presses, which may bend over what is left up to its next jump
         smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (lane.stop - lane.time)
         lane.proposed = min(lane.proposed, min(brief, smooth))
@@ -272,9 +259,7 @@ def _try_step(s, j):
         lane.near = 0.0  # only the first loss of contact is an answer of its own
     lane.low = -math.inf
     if not s.rigged and lane.end == math.inf and lane.time >= lane.pulse_end:
-        lane.low = s.share * max(lane.peak[FACE_A], lane.peak[FACE_B])
-        if lane.by_law:
-            lane.low = tail_level(s, j)
+        lane.low = tail_level(s, j)
 
 
 # --- series
@@ -518,13 +503,9 @@ def _move_on(s, j, ending):
     lane = s.lane[j]
     side = lane.side * LANES + j
     closes = s.x[0, side] <= 0.0
-    if ending < s.theta[j]:
-        s.u_end[j] = events.value_of(s.u, j, ending)
-        for m in range(j, PAIR, LANES):
-            s.at[POINTS, m] = events.value_of(s.x, m, ending)
-    s.u[0, j] = s.u[0, LANES + j] = s.u_end[j]
+    s.u[0, j] = s.u[0, LANES + j] = events.value_of(s.u, j, ending)
     for m in range(j, PAIR, LANES):
-        s.x[0, m] = s.at[POINTS, m]
+        s.x[0, m] = events.value_of(s.x, m, ending)
     lane.touching = 0
     lane.single = 0
     if lane.why == End.CONTACT:

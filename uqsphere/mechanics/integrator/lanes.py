@@ -271,11 +271,6 @@ def survey(s):
             floor = min(floor, min(left, right) + min(bow, 0.0))
         s.top[c] = top
         s.floor[c] = floor
-    for c in range(PAIR):
-        u = s.u[ORDER, c]
-        for k in range(1, TERMS):
-            u = u * s.theta[c] + s.u[ORDER - k, c]
-        s.u_end[c] = u
 
 
 # --- waves that come back

@@ -23,7 +23,7 @@ import math
 from . import tracked
 from .compiled import compiled
 from .events import OF_BOTH, approach_of, first_at, follows, highest_between
-from .faces import face_yielded, largest_approach, largest_force, on_virgin_loading, stored_energy
+from .faces import face_yielded, largest_approach, largest_force, stored_energy
 from .tracked import (
     CELLS,
     DIFFERENCE,
@@ -162,12 +162,12 @@ def _largest_squeeze(s, j):
     if not s.has_laws:
         largest = max(lane.peak[FACE_A], lane.peak[FACE_B])
         return (largest if s.mode == MASSLESS else 0.5 * largest), 1.0
-    if on_virgin_loading(s, j):
-        return 0.0, 1.0
     force = largest_force(s, j)
     soft = math.inf
     stiff = 0.0
-    for m in range(j, 2 * LANES, LANES):
+    for m in range(j, PAIR, LANES):
+        if s.spring[m] == 0.0:
+            return 0.0, 1.0
         elastic_to = s.unit_force[m]
         if face_yielded(s, m):
             elastic_to = s.peak_force[m]
@@ -347,8 +347,6 @@ def no_later_peak(s, j):
         return False
     if not no_higher_approach(s, j):
         return False
-    if not wanted & OF_BOTH:
-        return True
     energy = 0.5 * lane.mass * s.u[0, j] ** 2
     stiffest = 0.0
     for m in range(j, PAIR, LANES):

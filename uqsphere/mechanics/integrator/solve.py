@@ -220,13 +220,13 @@ class Task:
     record of bars may end at a loss of contact.
     """
 
-    mode: int = tracked.FULL
-    wanted: int = tracked.WANT_ALL
+    mode: int
+    wanted: int
     tolerance: float
     requested: float = 0.0
-    has_laws: bool = True
-    rigged: bool = True
-    stop_at_loss: bool = True
+    has_laws: bool
+    rigged: bool
+    stop_at_loss: bool
 
 
 def task_of(

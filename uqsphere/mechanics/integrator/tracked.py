@@ -366,7 +366,6 @@ STATE = np.dtype(
             "wrong",  # error of the force by its root at the step's end; keep_roots
             "top",  # bound of an approach above; survey
             "floor",  # and below; survey
-            "u_end",  # u at the step's end; survey
         ),
         *_fields(
             "f8",
