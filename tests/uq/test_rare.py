@@ -14,7 +14,8 @@ from scipy.stats import ncx2
 from tests.campaigns.rare import PROBLEMS, problem
 from uqsphere.uq import rare
 from uqsphere.uq.law import make_law
-from uqsphere.uq.rare import REACH, Evaluator, failure_probability, find_design_points
+from uqsphere.uq.rare import Evaluator, failure_probability, find_design_points
+from uqsphere.uq.rare.problem import REACH
 
 
 def holds(estimate, truth: float, room: float = 0.0) -> bool:

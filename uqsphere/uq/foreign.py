@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from uqsphere.arrays import Array
 
@@ -237,7 +237,7 @@ def _by_name(name: str, *parameters: Any) -> Law:
     return make_law(other.name, dict(zip(other.parameters_of, numbers, strict=True)))
 
 
-def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Array]) -> Law:
+def _steps(name: str, ends: Sequence[ArrayLike], share: Callable[[Array], Array]) -> Law:
     """A discrete law whose whole numbers are all as probable as each other."""
     low, high = map(_number, ends)
     if 1.0 <= high - low < 1e4:
@@ -251,7 +251,7 @@ def _steps(name: str, ends: Sequence[npt.ArrayLike], share: Callable[[Array], Ar
     )
 
 
-def _number(value: npt.ArrayLike) -> float:
+def _number(value: ArrayLike) -> float:
     if np.size(value) != 1:
         raise LawError(f"several numbers in one law: {EACH}")
     return float(np.ravel(value)[0])

@@ -12,7 +12,7 @@ from math import inf, nan
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from uqsphere.arrays import Array, frozen, quiet
 
@@ -126,17 +126,17 @@ class Law:
         return self.form.pdf is no_density
 
     @quiet
-    def tails(self, x: npt.ArrayLike) -> Tails:
+    def tails(self, x: ArrayLike) -> Tails:
         """P(X <= x) and P(X > x) of the law in force, each to full relative accuracy where it is
         small; any shape.
         """
         return self.form.tails(self._standard(np.asarray(x, float)))
 
-    def cdf(self, x: npt.ArrayLike) -> Array:
+    def cdf(self, x: ArrayLike) -> Array:
         """P(X <= x) of the law in force, to full relative accuracy in the lower tail; any shape."""
         return self.tails(x)[0]
 
-    def sf(self, x: npt.ArrayLike) -> Array:
+    def sf(self, x: ArrayLike) -> Array:
         """P(X > x) of the law in force, to full relative accuracy in the upper tail; any shape."""
         return self.tails(x)[1]
 
@@ -145,12 +145,12 @@ class Law:
         """x from p and q = 1 - p, each exact where it is small."""
         return np.clip(self._physical(self.form.quantile(p, q)), self.lower, self.upper)
 
-    def ppf(self, p: npt.ArrayLike) -> Array:
+    def ppf(self, p: ArrayLike) -> Array:
         """Quantile function: x with P(X <= x) = p, exact for small p; p in [0, 1], any shape."""
         p = np.asarray(p, float)
         return self._inverse(p, 1.0 - p)
 
-    def isf(self, q: npt.ArrayLike) -> Array:
+    def isf(self, q: ArrayLike) -> Array:
         """Upper quantile: x with P(X > x) = q, exact for small q; q in [0, 1], any shape."""
         q = np.asarray(q, float)
         return self._inverse(1.0 - q, q)

@@ -23,11 +23,11 @@ from functools import cache, lru_cache
 from importlib import resources
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import NDArray
 
 from uqsphere.arrays import Array
 
-Words = npt.NDArray[np.uint64]
+Words = NDArray[np.uint64]
 #: digits of a point
 BITS = 52
 

@@ -42,11 +42,10 @@ from .mixture import (
     standard_normal,
     wide_mixture,
 )
-from .problem import MOST_DIMENSIONS, REACH, Evaluator
+from .problem import MOST_DIMENSIONS, Evaluator
 from .subset import subset_simulation
 
 __all__ = [
-    "REACH",
     "DesignPoint",
     "Draws",
     "Evaluator",
