@@ -6,17 +6,15 @@ the class of a distribution says where it is from.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqsphere.arrays import Array
-
 from .families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
 from .fitting import fitted_law
-from .forms import LawError
+from .forms import Function, LawError
 from .joint import Dependence, Joint, make_joint
 from .law import Law, discrete_law, make_law
 
@@ -237,7 +235,7 @@ def _by_name(name: str, *parameters: Any) -> Law:
     return make_law(other.name, dict(zip(other.parameters_of, numbers, strict=True)))
 
 
-def _steps(name: str, ends: Sequence[ArrayLike], share: Callable[[Array], Array]) -> Law:
+def _steps(name: str, ends: Sequence[ArrayLike], share: Function) -> Law:
     """A discrete law whose whole numbers are all as probable as each other."""
     low, high = map(_number, ends)
     if 1.0 <= high - low < 1e4:

@@ -138,11 +138,9 @@ def highest_degrees(germs: Sequence[GermLike], points: Array) -> Places:
 
     On the rows a higher power is a sum of lower ones, and elsewhere it may be anything.
     """
-    highest = []
-    for germ, column in zip(germs, points.T, strict=True):
-        different = len(np.unique(values_of(germ, column).round(12)))
-        highest.append(min(different, recurrence_of(germ, HIGHEST_DEGREE).shape[1]) - 1)
-    return np.array(highest)
+    different = [len(np.unique(values.round(12))) for values in map(values_of, germs, points.T)]
+    most = [recurrence_of(germ, HIGHEST_DEGREE).shape[1] for germ in germs]
+    return np.array(different).clip(max=most) - 1
 
 
 def _own_polynomials(law: Law) -> bool:
