@@ -376,9 +376,6 @@ def unbiasing(law: LocationScale, leaving: Array, inverse: Array | None = None) 
     return 1.0 / float(centre(inverse))
 
 
-# --- the fit --------------------------------------------------------------------------------------
-
-
 def distance(below: Array, leaving: Array) -> Array:
     """Largest difference (...) of a law's probabilities (..., r) at failures from the Kaplan-Meier
     estimate.

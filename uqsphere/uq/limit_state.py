@@ -385,9 +385,6 @@ def _drawn_below(share: Array, rng: Generator) -> Array:
     return np.clip(special.ndtri(rng.random(share.shape) * share), -CERTAIN, CERTAIN)
 
 
-# --- samples in which something breaks ------------------------------------------------------------
-
-
 def weighted_quantile(
     values: Array, weights: Array, p: float, method: str, evaluations: int
 ) -> Estimate:
