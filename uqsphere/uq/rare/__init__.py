@@ -33,7 +33,6 @@ from .mixture import (
     ImportanceAnswer,
     adapt,
     around_design_points,
-    draw,
     failures,
     gaussian,
     importance_sampling,
@@ -128,12 +127,12 @@ def failure_probability(
         )
         return RareAnswer(few, warning)
     count = int(DEFENSIVE * budget)
-    plain = draw(evaluator, standard_normal(d), count, "defensive share")
+    plain = standard_normal(d).draw(evaluator, count, "defensive share")
     pool = [plain]
     starts = np.empty((0, evaluator.size))
     if d <= MOST_DIMENSIONS:
         # points far out in all directions; the three most probable failures among them are starts
-        look = draw(evaluator, wide_mixture(d), count, "wide look")
+        look = wide_mixture(d).draw(evaluator, count, "wide look")
         pool.append(look)
         values = evaluator.values(look.points, look.answers)
         failing = look.points[values < 2.0 * evaluator.integrated]

@@ -22,7 +22,7 @@ from uqsphere.arrays import Array, special
 
 from ..estimate import LEVEL, Estimate, absent, bounded, count_bound, student
 from ..points import random_generator
-from .mixture import draw, standard_normal, wide_mixture
+from .mixture import standard_normal, wide_mixture
 from .problem import MOST_DIMENSIONS, Evaluator
 
 #: evaluations below which no surrogate is fitted
@@ -56,8 +56,8 @@ def by_kriging(
     allowed = evaluator.left
     if d > MOST_DIMENSIONS or allowed < FEWEST:
         return None
-    plain = draw(evaluator, standard_normal(d), int(PLAIN * allowed), "defensive share")
-    wide = draw(evaluator, wide_mixture(d), 6 + 2 * d, "wide look")
+    plain = standard_normal(d).draw(evaluator, int(PLAIN * allowed), "defensive share")
+    wide = wide_mixture(d).draw(evaluator, 6 + 2 * d, "wide look")
     points = np.concatenate([wide.points, plain.points])
     values = evaluator.values(points, np.concatenate([wide.answers, plain.answers]))
     # a few of the plain sample are fitted to, and later those on which the surrogate is wrong
@@ -81,7 +81,7 @@ def by_kriging(
         draws = answer.draws
         if draws is None:
             # nothing fails on the surrogate: where it is least sure of that
-            draws = draw(replace(model), wide_mixture(d), 1024, "least sure", fitted.size)
+            draws = wide_mixture(d).draw(replace(model), 1024, "least sure", fitted.size)
         places = draws.points.reshape(-1, d)
         doubt = surrogate.doubt(places, model.integrated) * draws.mixture.ratio(places)
         if value > 0.5 and evaluator.left >= allowed / 2:

@@ -106,6 +106,13 @@ class Mixture(NamedTuple):
         copies = self._replace(factors=1.6 * self.factors)
         return joined([0.84, 0.12, 0.04], [self, copies, wide_mixture(d)])
 
+    def draw(self, evaluator: Evaluator, count: int, task: str, replicate: int = 0) -> "Draws":
+        """`count` points (n, d) of it, evaluated."""
+        count = max(count, self.shares.size)
+        drawn = self.drawn(count)
+        points = drawn.moved(evaluator.normals(evaluator.dimension, count, task, replicate))
+        return Draws(drawn, points, evaluator.answers(points))
+
 
 def equal(means: Array, factors: Cells) -> Mixture:
     """Gaussians of equal shares."""
@@ -230,16 +237,6 @@ class Draws(NamedTuple):
     answers: Array
 
 
-def draw(
-    evaluator: Evaluator, mixture: Mixture, count: int, task: str, replicate: int = 0
-) -> Draws:
-    """`count` points (n, d) of a mixture, evaluated."""
-    count = max(count, mixture.shares.size)
-    drawn = mixture.drawn(count)
-    points = drawn.moved(evaluator.normals(evaluator.dimension, count, task, replicate))
-    return Draws(drawn, points, evaluator.answers(points))
-
-
 def weighted(evaluator: Evaluator, draws: Sequence[Draws]) -> tuple[Array, Array, Array]:
     """Points (..., n, d) of all draws together, their weights (..., n), and the weights of those
     without an answer: mass of failure times the standard normal density over the density of all
@@ -277,7 +274,7 @@ def adapt(evaluator: Evaluator, draws: list[Draws], mixture: Mixture) -> Mixture
     for stage in range(stages):
         if evaluator.left < count:
             break
-        draws.append(draw(evaluator, mixture.defended(), count, "adapt", len(draws)))
+        draws.append(mixture.defended().draw(evaluator, count, "adapt", len(draws)))
         points, weights = failures(evaluator, draws)
         worth = carriers(weights)
         if worth >= least:
