@@ -44,7 +44,7 @@ def format_bounds(quantity: Quantity) -> str:
     'Poisson ratio of the sphere must be between -1 and 0.5 (exclusive)'
     """
     low = format_value(quantity.lower, quantity.name)
-    name = quantity.meaning.partition(":")[0]
+    name = quantity.called
     if not math.isfinite(quantity.upper):
         return f"{name} must be above {low}"
     ends = "inclusive" if quantity.closed else "exclusive"

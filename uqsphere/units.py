@@ -81,6 +81,11 @@ class Quantity:
         """The SI unit of the quantity."""
         return next(iter(UNITS[self.dimension]))
 
+    @property
+    def called(self) -> str:
+        """Its name, without what it is made of."""
+        return self.meaning.partition(":")[0]
+
     def allows(self, value: Values) -> Values:
         """Whether each value [SI] is within the bounds."""
         if self.closed:

@@ -289,6 +289,15 @@ class Study:
         """
         return make_joint(self.laws(), self.dependence)
 
+    def source_of(self, name: str) -> tuple[str, bool]:
+        """Where a number comes from, and whether it was read there; the study itself if it says
+        nothing else.
+        """
+        source = self.sources.get(name)
+        if source is None:
+            return "study", True
+        return source.source, source.seen
+
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean;
         SI.
