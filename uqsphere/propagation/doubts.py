@@ -255,8 +255,11 @@ class Curves:
         factor = common_factor(design, [*beside, limit])
         if (factor == np.eye(len(factor))).all():
             return Others(none=hold)
-        states = [self.line.state(other) for other in beside]
-        union = make_union(states, factor[:-1, :-1], design.generator("tied strengths"))
+        union = make_union(
+            [self.line.state(other) for other in beside],
+            factor[:-1, :-1],
+            design.generator("tied strengths"),
+        )
         return Others(
             none=np.where(hold > 0.0, union.none, hold),  # rows without an answer stay as they are
             shift=np.einsum("l,lrn->rn", factor[-1, :-1], union.holding),
