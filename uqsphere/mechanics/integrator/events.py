@@ -477,7 +477,7 @@ def _note_approaches(s, j, ends):
         place = -1.0
         # faces that are alike share the largest approach so far
         to = face if s.has_laws else FACE_A
-        if s.has_laws and face_yielded(s, m):
+        if face_yielded(s, m):
             if s.spring[m] == 0.0:
                 place = ends  # on virgin loading it is at its deepest at the end
         elif s.top[m] > lane.peak[to]:

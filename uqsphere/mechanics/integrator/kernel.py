@@ -117,8 +117,7 @@ def _leave(s, j, made, out):
         return
     out[r].steps = lane.count
     if math.isnan(lane.ended):
-        last = made[j, (lane.count - 1) & (s.ring - 1)]
-        lane.ended = last.began + last.holds
+        lane.ended = incoming.step_end(s, j, made, lane.count - 1)
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
     if not s.rigged and lane.end == math.inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
@@ -442,7 +441,6 @@ def _turn(s, j, ending, made):
     jump.
     """
     lane = s.lane[j]
-    reaches = records.approach_after_loss(s, j, ending)
     ahead = math.nan
     at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     at_stop = at_stop and lane.why < End.CONTACT
@@ -453,12 +451,12 @@ def _turn(s, j, ending, made):
     if s.rigged and not lane.touching:
         ahead = events.next_touch(s, j)
     _propose(s, j, ending, at_stop, ahead)
-    lane.fate = _fate(s, j, at_stop, ahead, reaches, made)
+    lane.fate = _fate(s, j, ending, at_stop, ahead, made)
     return at_stop and lane.fate == GOES_ON
 
 
 @compiled(inline=True)
-def _fate(s, j, at_stop, ahead, reaches, made):
+def _fate(s, j, ending, at_stop, ahead, made):
     """Status with which the row of a lane ends where it stands now, or `GOES_ON`."""
     lane = s.lane[j]
     if lane.why == End.RECORD:
@@ -468,7 +466,7 @@ def _fate(s, j, at_stop, ahead, reaches, made):
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
         records.note_duration(s, j, 0.0)
-        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made):
+        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, made):
             return tracked.OK
     if at_stop and lane.time >= lane.end:
         if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
