@@ -177,7 +177,6 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
     time = scales.time
     pulse = scene.pulse
     echoing = scene.reflections[rows] != 0.0
-    breaks = pulse.breaks[rows] / time[:, None]
     powers = time[:, None] ** np.arange(4)
     poles = np.zeros((len(rows), 2), tracked.POLE)
     poles["stiffness"] = 1.0
@@ -201,7 +200,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
         mass=scales.mass_number,
         ends=scene.reflections[rows],
         round_trips=np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
-        breaks=breaks,
+        breaks=pulse.breaks[rows] / time[:, None],
         coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
         frequencies=pulse.frequency[rows] * time,
         horizon=scene.record_end[rows] / time,
