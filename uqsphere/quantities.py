@@ -276,10 +276,7 @@ def format_estimate(
     """
     if low is None or high is None or low == high:
         return format_value(value, name, min(most, 6))
-    unit = ""
-    factor = 1.0
-    if name:
-        unit, factor = display_unit(name, value)
+    unit, factor = display_unit(name, value)
     scaled = [number * factor for number in (value, low, high)]
     spec = ".6g"
     if all(map(math.isfinite, scaled)):  # not a difference of numbers near the largest there are

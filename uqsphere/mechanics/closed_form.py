@@ -241,11 +241,9 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
         return every
     if behind is not None or scene.horizon is not None:
         return ~every
-    if ahead.kind in ("thick", "mass"):
-        return every
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
-        return ~every
+        return every & (ahead.kind in ("thick", "mass"))
     duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
     return (ahead.reflection == 0.0) | ~(duration > ahead.round_trip)
 

@@ -167,8 +167,8 @@ def thread_count(threads: int | None = None) -> int:
             raise ValueError(f"threads must be at least 1, found {threads}")
         return threads
     if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return max(1, os.cpu_count() or 1)
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def scaled_arguments(scene: Scene, rows: Places) -> Rows:
