@@ -289,35 +289,17 @@ def _choose(s, j):
     """
     lane = s.lane[j]
     lane.why = End.SERIES
-    lane.switched = 0
     theta = min(s.theta[j], 1.0)
     left = lane.stop - lane.time
     if lane.touching:
         theta = 1.0
         s.wrong_allowed[j] = math.inf
         events.step_from_touch(s, j)
-    elif lane.by_law:
-        lane.switched = _against_branch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
     elif 2.0 * theta * s.h[j] > left:
         theta = min(theta, 0.5 * left / s.h[j])
     s.theta[j] = s.theta[LANES + j] = theta
-
-
-@compiled
-def _against_branch(s, j):
-    """Faces (bits) that what jumped has turned against their branch, unless they are at rest where
-    both meet.
-    """
-    lane = s.lane[j]
-    wrong = 0
-    for face in range(2):
-        m = face * LANES + j
-        rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
-        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[m]):
-            wrong |= 1 << face
-    return wrong
 
 
 # --- holds
@@ -329,8 +311,7 @@ def _holds(s, j):
     shorter, or the row given up.
     """
     lane = s.lane[j]
-    if lane.switched:
-        _change_branch(s, j)
+    if lane.by_law and not lane.touching and _change_branch(s, j):
         return False
     if s.has_laws and lane.touching:
         reached = within_spring(s, j)
@@ -363,17 +344,24 @@ def _holds(s, j):
 
 @compiled
 def _change_branch(s, j):
-    """Bring faces to their other branch, on which the step is made again."""
+    """Bring faces that what jumped has turned against their branch to the other one, on which the
+    step is made again; whether there are any.
+
+    Faces at rest where both branches meet stay.
+    """
     lane = s.lane[j]
-    s.error[j] = min(s.error[j], s.closer * s.local)
-    for face in range(2):
-        m = face * LANES + j
-        if lane.switched & (1 << face):
-            if s.turned_at[m] != lane.time:
-                s.turns[m] = 0.0
+    beyond = 1e-4 * s.error[j]
+    changed = False
+    for m in range(j, PAIR, LANES):
+        if s.turned_at[m] != lane.time:
+            s.turns[m] = 0.0
+        if s.turns[m] < MOST_TURNS and wrong_branch(s, m, s.h[j], beyond * s.size[m]):
             s.turns[m] += 1.0
-            s.x[0, m] = switch(s, m, s.x[0, m])
             s.turned_at[m] = lane.time
+            s.x[0, m] = switch(s, m, s.x[0, m])
+            s.error[j] = min(s.error[j], s.closer * s.local)
+            changed = True
+    return changed
 
 
 # --- keep and turn
