@@ -63,7 +63,7 @@ class Material:
     name: str
     title: str
     properties: Mapping[str, Property]
-    rock: bool = False
+    rock: bool
 
 
 @cache

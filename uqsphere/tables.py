@@ -220,8 +220,8 @@ class Table:
     headings: list[str]
     rows: list[list[str]]
     lines: list[int]
-    notes: list[str] = field(default_factory=list)
-    decimal: str = ""
+    notes: list[str]
+    decimal: str
     apart: set[int] = field(default_factory=set)
     faults: dict[tuple[str, str], dict[int, None]] = field(default_factory=dict)
 
@@ -305,12 +305,10 @@ class Table:
         """
         at = self.place(column, dimension, key)
         column = str(column)
-        factor = 1.0
         heading = self.headings[at]
         if column.isdigit():
             column = heading
-        if dimension != "number":
-            factor = self._factor(heading, dimension, unit, key)
+        factor = self._factor(heading, dimension, unit, key)
         values, faults = self._parsed([row[at] for row in self.rows], blank)
         for message, places in faults.items():
             self.refuse(key, f"{column}: {message}", places)
@@ -321,6 +319,8 @@ class Table:
 
     def _factor(self, heading: str, dimension: str, unit: str | None, key: str) -> float:
         """The unit of a column in SI: as given or of its heading, which must agree."""
+        if dimension == "number":
+            return 1.0
         units = UNITS[dimension]
         allowed = typed_units(dimension)
         unit_key = _UNIT_KEYS.get(key, "units")

@@ -56,7 +56,6 @@ def warn_of_slips(draft: Draft) -> None:
         with draft.within("limits", limit.name, "strength"):
             _warn_of_partners(draft, limit)
             if not is_fitted(limit.strength):
-                _warn_of_modulus(draft, limit)
                 _warn_of_strength(draft, limit, likes["sphere"])
 
 
@@ -126,7 +125,10 @@ def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str 
         draft.warn(f"{text} is unusual for {solids} (library: {span})")
 
 
-def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
+def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
+    """Warn of a strength, not of tests, of a modulus that is unusual, or more than a factor off the
+    library's for the same mode.
+    """
     modulus = modulus_of(limit.strength)
     if modulus is not None and not _MODULI[0] <= modulus <= _MODULI[1]:
         draft.warn(
@@ -134,10 +136,6 @@ def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
             f"{_MODULI[1]:g}). Are two numbers swapped?",
             holds="plausibility",
         )
-
-
-def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
-    """Warn of a strength, not of tests, more than a factor off the library's for the same mode."""
     entry = lookup(limit.quantity)
     mode = FAILURE_MODES.get(failure_place(entry))
     if mode is None or entry.dimension != PROPERTIES[mode.strength]:

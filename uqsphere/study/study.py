@@ -419,6 +419,9 @@ class Draft:
     """
 
     document: Words
+    record: MeasuredPulse | None = None
+    scene: Scene | None = None
+    margins: Margins | None = None
 
     def __init__(self, folder: Path, data: dict[str, Any], box: bool) -> None:
         self.folder, self.data, self.box = folder, data, box
@@ -431,9 +434,6 @@ class Draft:
         self.dependence = list[Dependence]()
         self.warnings = dict[tuple[str, str], str]()
         self.files = dict[str, Path]()
-        self.record: MeasuredPulse | None = None
-        self.scene: Scene | None = None
-        self.margins: Margins | None = None
 
     @property
     def rig(self) -> Rig:

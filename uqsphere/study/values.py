@@ -76,11 +76,11 @@ class Tested:
 
     diameter: float
     forces: tuple[float, ...] = ()
-    diameters: tuple[float, ...] = ()
+    diameters: tuple[float, ...]
     platens: tuple[float, float] = (math.inf, 0.3)
     sphere: Mapping[str, float] = field(default_factory=dict)
     law: Law | None = None
-    exponent: float = 2.0
+    exponent: float
 
     def beyond(self, diameter: float) -> float:
         """Ratio, at least 1, of a diameter [m] to the nearest size that was tested."""

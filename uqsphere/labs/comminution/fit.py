@@ -244,8 +244,8 @@ def sample(
     centre, sd = np.array([*model.priors.values()]).T
 
     def value(x: Array) -> Array:
-        prior = -0.5 * np.square(np.where(np.isinf(sd), 0.0, (x - centre) / sd)).sum(axis=-1)
         with np.errstate(invalid="ignore"):
+            prior = -0.5 * np.square((x - centre) / sd).sum(axis=-1)
             total = each(x).sum(axis=-1) + prior
         return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(total), total, -np.inf)
 
@@ -410,19 +410,18 @@ def _described(
     ]
     if want.synthetic:
         warnings.append(SYNTHETIC)
-    sizes = []
-    for size, near in [*tests.sizes.items()][:_MOST_SIZES]:
-        sizes.append(
-            {
-                "diameter": size,
-                "tests": int(tests.weight[near].sum()),
-                "broke": int(tests.weight[near & tests.broke].sum()),
-                "breaks_half": quantiles(posterior.energy_at(0.5, size)),
-                "E50": quantiles(posterior.median(size)),
-                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
-                "slope": quantiles(-posterior.slope(size)),
-            }
-        )
+    sizes = [
+        {
+            "diameter": size,
+            "tests": int(tests.weight[near].sum()),
+            "broke": int(tests.weight[near & tests.broke].sum()),
+            "breaks_half": quantiles(posterior.energy_at(0.5, size)),
+            "E50": quantiles(posterior.median(size)),
+            "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
+            "slope": quantiles(-posterior.slope(size)),
+        }
+        for size, near in [*tests.sizes.items()][:_MOST_SIZES]
+    ]
     return {
         "title": asked.title,
         "seed": asked.seed,

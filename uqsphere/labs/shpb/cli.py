@@ -68,10 +68,9 @@ def _records(chosen: argparse.Namespace) -> int:
 
 
 def _fit_contact(chosen: argparse.Namespace) -> None:
-    from .contact import ContactDocument, fit_contact, load_loading
+    from .contact import ContactDocument, fit_contact
 
-    asked = load_document(chosen.file, ContactDocument)
-    fit = fit_contact(load_loading(asked, chosen.file.parent), asked)
+    fit = fit_contact(load_document(chosen.file, ContactDocument), chosen.file.parent)
     for note in fit.notes:
         print(f"note: {note}", file=sys.stderr)
     lines = fit.lines()

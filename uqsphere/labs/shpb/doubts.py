@@ -42,11 +42,12 @@ def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> Non
             "record.striker_speed checks the gains",
         )
         if not _STRUCK[0] <= speed <= _STRUCK[1]:
-            peaks.doubt(peaks, f"{text}: is a unit or a gain wrong?")
+            for face in peaks:
+                peaks.doubt(face, f"{text}: is a unit or a gain wrong?")
     elif abs(speed - measured) > _SPEED_ERROR * measured:
         text += f", not {measured:.3g} m/s: a gain or a unit is wrong"
         for face, peak in peaks.items():
-            peaks.doubt([face], text, peak.low * measured / speed, peak.high * measured / speed)
+            peaks.doubt(face, text, peak.low * measured / speed, peak.high * measured / speed)
 
 
 def check_bending(peaks: Peaks, face: str, spread: Array, step: float, wave: float) -> None:
@@ -104,7 +105,7 @@ def check_impulse(
             factors = [1.0 + gain for gain in gains]
             if face != "B":
                 factors = [1.0 / max(factor, 1e-3) for factor in factors]
-            peaks.doubt([face], text, *(peak.value * factor for factor in factors))
+            peaks.doubt(face, text, *(peak.value * factor for factor in factors))
     return None
 
 
@@ -146,13 +147,13 @@ def check_specimen(
                 f"an incident wave of {pressed * 1e-3:.4g} kN causes at most twice this force, "
                 f"{2.0 * pressed * 1e-3:.4g} kN"
             )
-            peaks.doubt([face], text, 2.0 * pressed)
+            peaks.doubt(face, text, 2.0 * pressed)
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
-            peaks.doubt([face], f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
+            peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
         if strongest is not None and peak.low > strongest:
             text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
-            peaks.doubt([face], text, strongest)
+            peaks.doubt(face, text, strongest)
     if "A" not in before:
         return []
     a = before["A"]
@@ -170,11 +171,12 @@ def check_specimen(
         return []
     if differ:
         text = f"the faces differ by {apart:.0%} ({both})"
-        peaks.doubt(before, text, a.low, b.low, a.high, b.high)
+        for face in peaks:
+            peaks.doubt(face, text, a.low, b.low, a.high, b.high)
     if uncommon:
         text = (
             f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean has "
             "no common peak"
         )
-        peaks.doubt(["mean"], text, a.high, b.high)
+        peaks.doubt("mean", text, a.high, b.high)
     return []

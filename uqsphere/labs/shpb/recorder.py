@@ -27,9 +27,7 @@ _METADATA = 40
 #: most bytes of a file
 _LARGEST = 1 << 28
 _NUMBER = r"\W*([\d.]+(?:e[+-]?\d+)?)"
-_RATE = re.compile(
-    rf"sampl\w*[ _]*(?:rate|frequency){_NUMBER}\s*(?:([kM])(?=Hz|S))?", re.IGNORECASE
-)
+_RATE = re.compile(rf"sampl\w*[ _]*(?:rate|frequency){_NUMBER}\s*([kM](?=Hz|S)|)", re.IGNORECASE)
 _INTERVAL = re.compile(
     rf"sampl\w*[ _]*(?:interval|time|period){_NUMBER}\W*([a-zµ]*)", re.IGNORECASE
 )
@@ -357,7 +355,7 @@ def _interval(text: str) -> float:
     rated = _RATE.search(text)
     timed = _INTERVAL.search(text)
     if rated:
-        rate = float(rated[1]) * _PREFIXES[(rated[2] or "").lower()]
+        rate = float(rated[1]) * _PREFIXES[rated[2].lower()]
         return 1.0 / rate if rate > 0.0 else 0.0
     if timed:
         return float(timed[1]) * UNITS["time"].get(timed[2] or "s", 1.0)
@@ -392,7 +390,7 @@ def _is_clock(column: Column, time: Array, unit: str) -> bool:
 
 def _step(time: Array) -> float:
     """Median of the steps of a time."""
-    return float(np.median(np.abs(np.diff(time))))
+    return float(np.median(np.diff(time)))
 
 
 # --- gauges ---------------------------------------------------------------------------------------
@@ -416,7 +414,7 @@ def _by_role(
 
     if asked.incident and asked.receiving:
         roles = ("incident", "reflected", "receiving")
-        return {role: [*map(named, getattr(asked, role))] for role in roles if getattr(asked, role)}
+        return {role: [*map(named, getattr(asked, role))] for role in roles}
     if asked.incident or asked.receiving:
         raise UsageError("record.incident and record.receiving are both required")
     signals = [
@@ -578,7 +576,6 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
 
 
 def _is_even(time: Array, tolerance: float) -> bool:
-    """Whether a time rises at every sample, by steps within a share of their median."""
-    steps = np.diff(time)
+    """Whether a time rises by steps within a share of their median."""
     step = _step(time)
-    return bool((steps > 0.0).all() and np.abs(steps - step).max() <= tolerance * step)
+    return bool((np.abs(np.diff(time) - step) <= tolerance * step).all())

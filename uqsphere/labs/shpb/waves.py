@@ -305,10 +305,9 @@ def _near_face(
     after = record.reflected
     bar = before.bar
     doubt = ""
-    alive = np.zeros(count)
-    alive[: window.alive] = 1.0
+    alive = np.arange(count) < window.alive
     incident = np.zeros(count)
-    incident[: window.alive] = before.strain[window.start : window.start + window.alive]
+    incident[alive] = before.strain[window.start :][: window.alive]
     # where the two waves overlap neither can be moved by itself
     moves = asked.dispersion and window.whole
     if moves:
@@ -377,7 +376,7 @@ def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
     check_bending(peaks, "A", stiffness * spread, step, stiffness * incident.wave.peak)
     for text in (*peaks["A"].doubts, *peaks["B"].doubts):
         if text not in peaks["mean"].doubts:
-            peaks.doubt(["mean"], text)
+            peaks.doubt("mean", text)
 
 
 def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float | None, float]:
