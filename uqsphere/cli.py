@@ -158,8 +158,7 @@ def _parser() -> ArgumentParser:
 
     def add(command: Callable[[Namespace], int | None]) -> ArgumentParser:
         """The parser of a command, whose docstring has its help and its examples."""
-        text, *lines = (getdoc(command) or " ").splitlines()
-        examples = lines[1:]
+        text, _, *examples = (getdoc(command) or "\n\n").splitlines()
         heading = "example:" if len(examples) == 1 else "examples:"
         added = commands.add_parser(
             command.__name__[1:],

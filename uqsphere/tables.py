@@ -69,12 +69,7 @@ _SUMMARY = re.compile(
     re.IGNORECASE,
 )
 #: keys that a study gives the unit of a column by
-_UNIT_KEYS = {
-    "force": "force_unit",
-    "diameter": "diameter_unit",
-    "column": "unit",
-    "draws": "unit",
-}
+_UNIT_KEYS = {"force": "force_unit", "diameter": "diameter_unit", "column": "unit", "draws": "unit"}
 #: what a row of units below the headings may have; units of US customary tables that no key takes
 _ALL_UNITS = {"", "-", *SPELLED} | {unit for unit in chain(*UNITS.values()) if not unit.isdigit()}
 _FOREIGN_UNITS = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
@@ -417,11 +412,7 @@ class Table:
             self.faults.setdefault((key, message), {}).update(dict.fromkeys(lines))
 
     def flags(
-        self,
-        column: str,
-        key: str,
-        meant: str,
-        words: Mapping[str, bool] = WORDS["flags"],
+        self, column: str, key: str, meant: str, words: Mapping[str, bool] = WORDS["flags"]
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]

@@ -290,11 +290,13 @@ class Workers:
         if hasattr(executor, "get_executor"):
             # the same call twice is two evaluations, which Dask would not make
             self._executor, self._answer = executor.get_executor(pure=False), answer_apart
-        if executor is not None and not callable(getattr(self._executor, "submit", None)):
-            raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
         self._processes = WeakSet[_Process]()
         self._lock = threading.Lock()
         if executor is not None:
+            if not callable(getattr(self._executor, "submit", None)):
+                raise UsageError(
+                    f"executor must provide submit(); {type(executor).__name__} does not"
+                )
             self._packed, self.count = pack(task), _MANY
 
     def start(self, count: int) -> None:

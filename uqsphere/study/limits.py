@@ -93,25 +93,24 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
         strength = _strength(draft, table, limit)
     if limit.needs_modulus:
         fitted = modulus_of(strength.value)
-        modulus = limit.parameters.get("modulus")
+        modulus = limit.parameters.get("modulus", fitted)
+        if modulus is None:
+            raise Fault(
+                "modulus is missing. Add it, or use a strength with a Weibull distribution",
+                "modulus",
+            )
         if fitted is None:
-            if modulus is None:
-                raise Fault(
-                    "modulus is missing. Add it, or use a strength with a Weibull distribution",
-                    "modulus",
-                )
             draft.warn(
                 "a weakest-link strength has a Weibull distribution with the modulus of the "
                 "limit; with another distribution P_f does not follow from the flaws"
             )
-        else:
-            if modulus is not None and abs(fitted - modulus) > 1e-9 * modulus:
-                raise Fault(
-                    f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
-                    "modulus",
-                    "modulus",
-                )
-            limit = replace(limit, parameters={"modulus": fitted, **limit.parameters})
+        elif abs(fitted - modulus) > 1e-9 * modulus:
+            raise Fault(
+                f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
+                "modulus",
+                "modulus",
+            )
+        limit = replace(limit, parameters={"modulus": modulus, **limit.parameters})
     draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
     draft.limits[name] = replace(
         limit, strength=strength.value, model_factor=factor.value, tested=strength.tested
@@ -386,11 +385,7 @@ def compare_sizes(
 
 
 def _warn_of_slips(
-    table: Observations,
-    cells: Table,
-    rows: Places,
-    columns: Mapping[str, Array],
-    draft: Draft,
+    table: Observations, cells: Table, rows: Places, columns: Mapping[str, Array], draft: Draft
 ) -> Array:
     """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
 

@@ -1,7 +1,5 @@
 """The input file of the lab: material, tests of particles, feed, product."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -111,7 +109,7 @@ class TestsTable(Section):
         return _one_of(self, "specific_energy", "energy", "speed", "force")
 
     @model_validator(mode="after")
-    def _one_of_each(self) -> TestsTable:
+    def _one_of_each(self) -> "TestsTable":
         measured = self.measured
         if not (self.diameter or (self.mesh_lower and self.mesh_upper)):
             raise ValueError("diameter, or mesh_lower and mesh_upper, is required")
@@ -151,7 +149,7 @@ class SizesTable(Section):
     passing: str = ""
 
     @model_validator(mode="after")
-    def _complete(self) -> SizesTable:
+    def _complete(self) -> "SizesTable":
         needs = {
             "rosin_rammler": ("d63", "n", "top"),
             "gaudin_schuhmann": ("n", "top"),
@@ -188,7 +186,7 @@ class FeedTable(Section):
     fines: Length | None = None
 
     @model_validator(mode="after")
-    def _one_energy(self) -> FeedTable:
+    def _one_energy(self) -> "FeedTable":
         _one_of(self, "specific_energy", "energy", "speed")
         return self
 

@@ -208,11 +208,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             among[:, 0] = 1.0
             spread = -np.diff(among, axis=1, append=0.0)
     struck, broke, whole = population(cumulative, mass, spread)
-    numbers = {
-        "broken": total,
-        "blows": struck @ hit,
-        "energy [J/kg]": struck @ (hit * taken),
-    }
+    numbers = {"broken": total, "blows": struck @ hit, "energy [J/kg]": struck @ (hit * taken)}
     passes = []
     if product is not None:
         passing = whole @ unbroken.T

@@ -7,8 +7,6 @@ round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph
 907), with truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -84,7 +82,7 @@ class Posterior(NamedTuple):
     tested: tuple[float, float]
     tests: int
 
-    def at(self, rows: Places) -> Posterior:
+    def at(self, rows: Places) -> "Posterior":
         """Some of the draws."""
         parameters = {name: values[rows] for name, values in self.parameters.items()}
         return self._replace(law=self.law[rows], parameters=parameters)
@@ -335,7 +333,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         chain, about[model.law] = sample(model, tests, gamma, rng, asked.draws)
         chains.append(chain)
     weights = special.softmax([law["loo"] for law in about.values()])
-    for law, weight in zip(about.values(), weights.tolist(), strict=True):
+    for law, weight in zip(about.values(), weights, strict=True):
         law["weight"] = weight
     # the draws of all laws by their weights, in random order
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)

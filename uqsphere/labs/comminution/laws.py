@@ -26,11 +26,7 @@ from uqsphere.arrays import Array, Values, special
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
 #: parameters of a size law, the energy first, by its name
-SIZES = {
-    "tavares": ("e_inf", "d0", "phi"),
-    "king": ("e_inf", "d0", "phi"),
-    "power": ("C", "phi"),
-}
+SIZES = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"), "power": ("C", "phi")}
 LAWS = {"lognormal": "sigma", "weibull": "modulus"}
 
 
@@ -48,9 +44,7 @@ def hazard(energy: Values, median: Values, modulus: Values) -> Values:
         return math.log(2.0) * (energy / median) ** (0.6 * modulus)
 
 
-def broken_share(
-    law: str, energy: Values, median: Values, shape: Values, ratio: Values = math.inf
-) -> Values:
+def broken_share(law: str, energy: Values, median: Values, shape: Values, ratio: Values) -> Values:
     """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus
     m."""
     if law == "lognormal":
@@ -58,9 +52,7 @@ def broken_share(
     return -np.expm1(-hazard(energy, median, shape))
 
 
-def energy_at(
-    law: str, share: Values, median: Values, shape: Values, ratio: Values = math.inf
-) -> Values:
+def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Values) -> Values:
     """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
     if law == "lognormal":
         stretched = median * np.exp(shape * special.ndtri(share))

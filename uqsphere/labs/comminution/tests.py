@@ -88,9 +88,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
         kept = [row for row, cell in enumerate(cells) if cell == value]
         table = replace(
-            table,
-            rows=[table.rows[row] for row in kept],
-            lines=[table.lines[row] for row in kept],
+            table, rows=[table.rows[row] for row in kept], lines=[table.lines[row] for row in kept]
         )
     if not len(table):
         raise UsageError(f"{table.name}: tests.where selects no row")

@@ -1,7 +1,5 @@
 """The input file of a record: bars with their gauges, the file, the specimen."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 
@@ -175,7 +173,7 @@ class RecordDocument(Section):
         return {**data, "incident_bar": incident, "receiving_bar": receiving}
 
     @model_validator(mode="after")
-    def _whole(self) -> RecordDocument:
+    def _whole(self) -> "RecordDocument":
         for name in ("incident_bar", "receiving_bar"):
             bar = getattr(self, name)
             if bar.length is not None and bar.gauge > bar.length:

@@ -5,8 +5,6 @@ noise allows, and what this mean misses by a mean over twice as many.  No value 
 smoothed samples: a parabola overshoots where a ramp meets a plateau.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -66,7 +64,7 @@ class Force(NamedTuple):
     noise: float
     memory: float
 
-    def part(self, zone: slice) -> Force:
+    def part(self, zone: slice) -> "Force":
         """The samples of a slice."""
         return self._replace(time=self.time[zone], force=self.force[zone], sd=self.sd[zone])
 

@@ -5,8 +5,6 @@ The study gives sphere, rig, scatter and strengths.  The shares are the fragilit
 share of 0.01 % comes from the distribution of the strength, not from counted samples.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -158,7 +156,7 @@ def plan_csv(plan: dict[str, Any]) -> str:
     return csv_text(np.column_stack(columns), [*head, "failed [1]"])
 
 
-def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
+def _range(asked: PlanDocument, study: "Study") -> tuple[str, float, float]:
     """The free number and its ends [SI]: of the file, of the study's margins, or a third to three
     times its value.
     """
