@@ -199,7 +199,7 @@ def lines_of(text: str) -> dict[str, int]:
     for number, line in enumerate(text.split("\n"), 1):
         header = re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line)
         key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
-        if key is None:
+        if not key:
             continue
         path = path_of(*_parts(key[2]))
         if header:

@@ -110,7 +110,7 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
         if rest == "in" and not set("/,") & set(gap[0]):
             continue  # the inner diameter D_in is no length in inches
         unit = _known_unit(rest, dimension)
-        if unit is not None:
+        if unit:
             return name, unit
     return heading, None
 
@@ -320,7 +320,7 @@ class Table:
         allowed = typed_units(dimension)
         unit_key = _UNIT_KEYS.get(key, "units")
         in_heading = unit_in_heading(heading, dimension)[1]
-        if not unit and in_heading is None:
+        if not (unit or in_heading):
             wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)

@@ -128,7 +128,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         such = "0.25"
     if isinstance(text, bool) or not isinstance(text, (int, float, str)):
         raise UnitError(f"must be a number{with_unit}, not {shown(text)}")
-    if isinstance(text, (int, float)):
+    if not isinstance(text, str):
         if dimension != "number":
             bare = bare_number(text)
             raise UnitError(
@@ -149,7 +149,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             f'{text!r} has a thousands separator. Write "{number}{stripped[mark.end() :]}"'
         )
     match = _NUMBER.match(stripped)
-    if match is None:
+    if not match:
         raise UnitError(
             f"{text!r} is not a number{with_unit}{alien(text)}. Write, for example, {such}"
         )

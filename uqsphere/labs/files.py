@@ -59,7 +59,7 @@ def csv_text(content: Any, head: list[str] | None = None) -> str:
     import pandas as pd
 
     frame = pd.DataFrame(content, columns=head)
-    return str(frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
+    return frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
 
 
 def chosen_command(
@@ -87,7 +87,7 @@ def finish(chosen: argparse.Namespace, content: Any, text: str, files: Mapping[s
     from uqsphere.results.folder import write_files
 
     written = []
-    if chosen.out is not None:
+    if chosen.out:
         write_files(chosen.out, files)
         written = [str(chosen.out / name) for name in files]
     if chosen.json:

@@ -81,7 +81,7 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     """One limit: demand, strength and model factor; raises Fault."""
     limit = _demand(draft, name, table)
     of_fracture = sorted(key for key, entry in OUTPUTS.items() if entry.fracture)
-    if table.fracture and table.criterion is None and limit.quantity not in of_fracture:
+    if table.fracture and not table.criterion and limit.quantity not in of_fracture:
         raise Fault(
             f"{limit.quantity} is not a fracture quantity; fracture = true needs a criterion or "
             f"one of {one_of(of_fracture)}",
@@ -123,13 +123,13 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     criterion = table.criterion
     if quantity is not None and quantity not in draft.quantities:
         raise Fault(unknown("quantity", quantity, draft.quantities), "quantity")
-    if criterion is not None and draft.box:
+    if criterion and draft.box:
         raise Fault(
             "a criterion needs the impact model. Set quantity to an output of the black box",
             "criterion",
         )
     if criterion == "specific_energy":
-        if table.energy_is is None and not draft.rig.by_wave:
+        if not (table.energy_is or draft.rig.by_wave):
             raise Fault(
                 "energy_is is missing. Set it to the energy that the strength is based on: "
                 f"{one_of(map(shown, _ENERGIES))}",
@@ -137,7 +137,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
             )
         criterion = _ENERGIES[table.energy_is or "contact"]
     parameters = {part: value for part, value in table if part in PARAMETERS and value is not None}
-    if criterion is None:
+    if not criterion:
         for part in parameters:
             raise Fault(
                 f"{part} is used only with a criterion (uqsphere list criteria). Add criterion = …",
@@ -193,8 +193,8 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
         )
     if not (draft.plastic and pressure):
         return meant == "hertz"
-    if meant is None:
-        if draft.document.contact.law is not None:
+    if not meant:
+        if draft.document.contact.law:
             raise Fault(_PRESSURES, "strength_is")
         return compared == "p_max"  # as nearly all tabulated contact strengths are
     if meant == "pressure" and is_tests(table.strength):
@@ -241,7 +241,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     Fault.
     """
     demand = limit.criterion or limit.quantity
-    if limit.criterion is None and not lookup(demand).follows:
+    if not (limit.criterion or lookup(demand).follows):
         raise Fault(
             f"forces at failure do not determine {demand}. Use a criterion (uqsphere list "
             "criteria)",
@@ -353,7 +353,7 @@ def compare_sizes(
     Raises Fault if no size law, of the tests or of the criterion itself, scales them to one of the
     radii.
     """
-    if tested is None:
+    if not tested:
         return
     linked = limit.needs_modulus or (modulus_of(tested.law) and tested.exponent)
     ratios = [
@@ -367,7 +367,7 @@ def compare_sizes(
     )
     if refused:
         way = 'set fit = "weibull"'
-        if tested.law is None:
+        if not tested.law:
             way = "fit again with strength_at of this size"
         elif not _POWERS.get(limit.criterion or limit.quantity, 2.0):
             way = "hold the tests against a pressure or tension: a force has no size law"
@@ -379,7 +379,7 @@ def compare_sizes(
         scaling = "not scaled"
         if linked:
             scaling = "scaled by the weakest link"
-        elif tested.law is None and tested.exponent:
+        elif tested.exponent and not tested.law:
             scaling = "scaled by its size_exponent"
         draft.warn(f"{sizes}: the strength is {scaling}", key)
 
@@ -499,7 +499,7 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
         if np.isclose(partner.modulus[0], modulus, rtol=1e-9):
             face = partner.face
             takes = float(partner.takes[0])
-    if draft.plastic and face is not None:
+    if draft.plastic and face:
         law = parameters_of(face)
         if np.isfinite([*law.values()]).all():
             return {**sphere, **law, "takes": takes}

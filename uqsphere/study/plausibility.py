@@ -73,7 +73,7 @@ class Like:
         ends = []
         for material in self.materials:
             entry = material.properties.get(key)
-            if entry is not None:
+            if entry:
                 size = entry.further.get("size", 0.0)
                 factor = 1.0 + (size / diameter) ** entry.further.get("exponent", 1.0)
                 ends += [factor * end for end in entry.range or (entry.value, entry.value)]
@@ -130,7 +130,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     library's for the same mode.
     """
     modulus = modulus_of(limit.strength)
-    if modulus is not None and not _MODULI[0] <= modulus <= _MODULI[1]:
+    if modulus and not _MODULI[0] <= modulus <= _MODULI[1]:
         draft.warn(
             f"a Weibull modulus of {modulus:.3g} is unusual (usual: {_MODULI[0]:g} to "
             f"{_MODULI[1]:g}). Are two numbers swapped?",
@@ -138,7 +138,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
         )
     entry = lookup(limit.quantity)
     mode = FAILURE_MODES.get(failure_place(entry))
-    if mode is None or entry.dimension != PROPERTIES[mode.strength]:
+    if not mode or entry.dimension != PROPERTIES[mode.strength]:
         return
     diameter = math.inf
     if mode.size_law == "particle":
@@ -153,7 +153,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     """Warn where the contact of the tests is of another stiffness than that of the rig."""
     tested = limit.tested
-    if tested is None or not tested.forces or limit.quantity == "P_max":
+    if not (tested and tested.forces) or limit.quantity == "P_max":
         return
     tests = reduced_modulus(draft.mean("sphere.E"), draft.mean("sphere.nu"), *tested.platens)
     rig = draft.contact_modulus

@@ -62,7 +62,7 @@ class Limit:
     @property
     def demand(self) -> Demand:
         """What is held against the strength: a quantity, or a criterion with its parameters."""
-        if self.criterion is None:
+        if not self.criterion:
             return self.quantity
         return self.criterion, self.parameters
 
@@ -221,7 +221,7 @@ class Study:
         """The margins whose free number moves the rows of the model; None without, and where it is
         a strength.
         """
-        if self.margins is None or self.margins.limit is not None:
+        if not self.margins or self.margins.limit:
             return None
         return self.margins
 
@@ -268,7 +268,7 @@ class Study:
         return {
             limit.quantity: (limit.criterion, limit.parameters)
             for limit in self.limits
-            if limit.criterion is not None
+            if limit.criterion
         }
 
     def laws(self) -> dict[str, Law]:
@@ -368,7 +368,7 @@ def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -
     `DEFAULT_TARGET`.
     """
     targets = [limit.target for limit in limits if limit.has_target and limit.aim == aim]
-    if not targets and margins is not None:
+    if not targets and margins:
         # a sphere that must break fails where its strength is not exceeded
         targets = [1.0 - p if aim == "break" else p for p in margins.for_probability]
     return min(targets, default=DEFAULT_TARGET)
@@ -454,7 +454,7 @@ class Draft:
         """The gauges by their places in the study, that of a rod first."""
         gauges = {f"gauges[{k}]": gauge for k, gauge in enumerate(self.document.gauges)}
         rod = self.document.rod.gauge
-        if rod is None:
+        if not rod:
             return gauges
         return {"rod.gauge": Gauge.model_construct(bar="rod", position=rod), **gauges}
 

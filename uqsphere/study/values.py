@@ -164,7 +164,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
             f" (known: {one_of(FAMILIES)}){suggestion(next(iter(raw), ''), ['dist'])}"
         )
     family = family_named(str(kind))
-    if family is None:
+    if not family:
         near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
         raise Fault(f"{unknown('distribution', kind, FAMILIES)}{near}", "dist")
     keys = (*family.keys, "lower", "upper")
@@ -541,7 +541,7 @@ def fit(
     have the modulus.
     """
     modulus = table.modulus
-    if modulus is None and (len(data) < 2 or stopped.all()):
+    if not modulus and (len(data) < 2 or stopped.all()):
         reason = f"all {len(data)} tests are right-censored"
         if len(data) < 2:
             reason = f"the file has {len(data)} observation"
@@ -553,7 +553,7 @@ def fit(
     with _blamed("fit", "lower", "upper", otherwise="file"):
         failures = data[~stopped].tolist()
         censored = data[stopped].tolist()
-        if modulus is not None:
+        if modulus:
             modulus /= slope
             return law_of_known_modulus(failures, table.fit, censored=censored, modulus=modulus)
         return fitted_law(failures, table.fit, *bounds, censored=censored, unbiased=table.unbiased)
@@ -584,7 +584,7 @@ def warn_of_rows(
                     f"{cells.name}: neither a Weibull nor a lognormal distribution fits (p = "
                     f"{p:.2g}). Are rows mixed or faulty?"
                 )
-            if table.modulus is not None:
+            if table.modulus:
                 low, high = tests.fit(draws=1000).shape_interval
                 if not low <= table.modulus <= high:
                     draft.warn(
@@ -626,12 +626,12 @@ def pulse_of(table: "PulseTable", draft: "Draft") -> MeasuredPulse:
         cells.refuse(
             "", "the time must increase from row to row", np.diff(time, prepend=-np.inf) <= 0.0
         )
-    if volts and table.factor is None:
+    if volts and not table.factor:
         raise Fault(
             "factor, the strain of one volt, is missing. Add it, for example factor = 1e-3",
             "factor",
         )
-    if not volts and table.factor is not None:
+    if not volts and table.factor:
         raise Fault(
             "factor is used only with a column of volts; this one is a strain. Remove factor",
             "factor",

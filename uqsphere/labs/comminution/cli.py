@@ -106,7 +106,7 @@ def _fit_text(content: dict[str, Any]) -> str:
     names = [("parameter", "value", LEVEL_TEXT, "sd of the logarithm: prior, posterior")]
     for name, parameter in content["parameters"].items():
         prior = "flat"
-        if parameter["prior_sd"] is not None:
+        if parameter["prior_sd"]:
             prior = f"{parameter['prior_sd']:.2g}"
         names.append((name, *_interval(parameter), f"{prior}, {parameter['sd']:.2g}"))
     use = (

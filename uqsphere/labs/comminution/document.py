@@ -120,7 +120,7 @@ class TestsTable(Section):
                 "a force needs the stiffness of each particle (stiffness = COLUMN), or "
                 "assume_intact = true"
             )
-        if measured in ("specific_energy", "energy") and self.energy_is is None:
+        if measured in ("specific_energy", "energy") and not self.energy_is:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
         if isinstance(self.gamma, float) and not 0.5 < self.gamma < 50.0:
             raise ValueError(

@@ -43,7 +43,7 @@ def particle_energies(
     notes = []
     if want.mass:
         mass = table.numbers(want.mass, "mass", want.mass_unit, key="mass")
-    elif material.density is not None:
+    elif material.density:
         mass = laws.mass_of(diameter, material.density)
     else:
         raise UsageError("material.density is required, or a column tests.mass")
@@ -71,7 +71,7 @@ def particle_energies(
         energy = laws.energy_of_force(energy, diameter, modulus, mass)
     if meaning == "sphere":
         return energy, notes
-    if want.partner is None:
+    if not want.partner:
         whole = "stored in the contacts" if meaning == "contact" else "offered"
         notes.append(
             f"without tests.partner the particle is credited with the whole energy {whole}; a "
@@ -106,13 +106,13 @@ def offered_shares(
 
     particle = asked.material
     elastic = np.full(len(energy), laws.particle_share(stiffness(particle), stiffness(partner)))
-    if particle.density is None or partner.density is None:
+    if not (particle.density and partner.density):
         return elastic, []
     sphere = _table(particle, "sphere")
     other = _table(partner, "plates", "bars")
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
     tables: dict[str, Any] = {"sphere": sphere}
-    if asked.contact_law is not None:
+    if asked.contact_law:
         tables["contact"] = {"law": asked.contact_law}
     rows = {"sphere.radius": 0.5 * diameter}
     if falling:

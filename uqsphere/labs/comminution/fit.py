@@ -349,7 +349,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
             column[places] = np.exp(chains[k][rows, j])
     mean, sd = PRIORS["gamma"]
     parameters.setdefault("gamma", np.exp(mean + sd * rng.standard_normal(len(law_of))))
-    if gamma is not None:
+    if gamma:
         parameters["gamma"] = np.full(len(law_of), gamma)
     posterior = Posterior(
         models=models,

@@ -52,7 +52,7 @@ def _records(chosen: argparse.Namespace) -> int:
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
         peak = test.peaks["B"]
         diameter = ""
-        if asked.specimen.diameter is not None:
+        if asked.specimen.diameter:
             diameter = f"{asked.specimen.diameter * 1e3:.6g}"
         forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
         lines.append((path.stem, diameter, *forces, "; ".join(peak.doubts)))

@@ -123,7 +123,7 @@ pile_up = {pile_up.value:.4g}    # {pile_up.low:.3g} to {pile_up.high:.3g}
         misfit = f"{self.misfit * 1e6:.2g} um"
         ends = f"{pile_up.low:.4g} to {pile_up.high:.4g}"
         return [
-            *((name, *number.in_gpa()) for name, number in moduli.items() if number is not None),
+            *((name, *number.in_gpa()) for name, number in moduli.items() if number),
             ("pile-up", f"{pile_up.value:.4g}", ends),
             ("misfit of the displacement", misfit, f"{self.samples} samples"),
         ]
@@ -154,7 +154,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
     if asked.compression == "negative":
         displacement = -displacement
         force = -force
-    if asked.machine_stiffness is not None:
+    if asked.machine_stiffness:
         displacement = displacement - force / asked.machine_stiffness
     top = np.argmax(force)
     if not force[top] > 0.0:
@@ -172,7 +172,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
         raise UsageError(
             "the displacement jumps back and forth. Put the samples in the order of the record"
         )
-    if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
+    if not asked.pile_up and force[top:].min() > _UNLOADED * force[top]:
         raise UsageError(
             "the record is not unloaded, which hardness and pile-up need. Unload, or set pile_up"
         )
@@ -226,7 +226,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         approach = face_approach(force, largest, law_of(x))
         return np.asarray((displacement - 2.0 * approach) / scale - x[3])
 
-    free = slice(5 if asked.pile_up is None else 4)
+    free = slice(4 if asked.pile_up else 5)
     fits = []
     for share in _BEGINNINGS:
         early = (force <= max(0.15, share) * highest) & (force >= largest)

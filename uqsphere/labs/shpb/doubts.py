@@ -35,7 +35,7 @@ def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> Non
         f"an incident wave of {strain * 1e6:.4g} microstrain corresponds to a striker of "
         f"{speed:.3g} m/s"
     )
-    if measured is None:
+    if not measured:
         incident.changes.add(
             "gains",
             "an error common to both bars (gain, E, diameter) does not show in a record; "
@@ -151,7 +151,7 @@ def check_specimen(
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
             peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
-        if strongest is not None and peak.low > strongest:
+        if strongest and peak.low > strongest:
             text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
             peaks.doubt(face, text, strongest)
     if "A" not in before:

@@ -182,7 +182,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             changes.add("sign", text, signal=", ".join(names))
         signals[role] = _joined(turned, limit)
     incident = signals["incident"]
-    if asked.window is not None:
+    if asked.window:
         begin, end = (round((time - start) / step) for time in asked.window)
         if not 0 <= begin < end < length:
             raise UsageError("record.window must be [begin, end] within the record")

@@ -136,7 +136,7 @@ def plan_text(plan: dict[str, Any]) -> str:
         row = [format_probability(cells[0]["share"])]
         for cell in cells:
             text = "outside the range"
-            if cell["value"] is not None:
+            if cell["value"]:
                 value, low, high = cell["value"]
                 text = f"{factor * value:.4g} {unit} ({factor * low:.4g} to {factor * high:.4g})"
             row.append(text)
@@ -162,7 +162,7 @@ def _range(asked: PlanDocument, study: "Study") -> tuple[str, float, float]:
     """
     numbers = study.at_means()
     margins = study.margins
-    solved = margins.solve if margins is not None else ""
+    solved = margins.solve if margins else ""
     free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
     if free not in numbers:
         raise UsageError(
@@ -170,12 +170,12 @@ def _range(asked: PlanDocument, study: "Study") -> tuple[str, float, float]:
         )
     low = numbers[free] / 3.0
     high = 3.0 * numbers[free]
-    if asked.between is not None:
+    if asked.between:
         try:
             low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)
         except UnitError as error:
             raise UsageError(f"between: {error}") from None
-    elif margins is not None and solved == free:
+    elif margins and solved == free:
         low, high = margins.between
     if not low < high:
         raise UsageError("between must be [low, high], two different values in this order")

@@ -459,7 +459,7 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         factor = UNITS["strain"][unit]
         text = f"is in {_STRAINS.get(factor, unit)}"
     elif dimension == "voltage":
-        if bar.excitation is None:
+        if not bar.excitation:
             raise UsageError(
                 f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
                 "(a number, volts)"

@@ -40,7 +40,7 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
         lines += [("", "doubt", doubt) for doubt in peak.doubts]
     lines += [("not given", "", reason) for reason in test.withheld]
     lines += [("note", "", note) for note in test.notes]
-    if test.energies is not None:
+    if test.energies:
         waves = {name: f"{energy:.4g} J" for name, energy in test.energies.items()}
         absorbed = waves.pop("absorbed")
         text = ", ".join(f"{energy} {name}" for name, energy in waves.items())
