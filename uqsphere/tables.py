@@ -426,8 +426,10 @@ class Table:
         for k, message in self._no_data.items():
             self.refuse("", message, [k])
         if self.faults:
-            faults = self.faults.items()
-            messages = [f"{self.name}: {_lines([*lines])}: {text}" for (_, text), lines in faults]
+            messages = [
+                f"{self.name}: {_lines([*lines])}: {text}"
+                for (_, text), lines in self.faults.items()
+            ]
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:

@@ -58,8 +58,9 @@ def csv_text(content: Any, head: list[str] | None = None) -> str:
     """Columns by their names, or rows below a head, as CSV."""
     import pandas as pd
 
-    frame = pd.DataFrame(content, columns=head)
-    return frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return pd.DataFrame(content, columns=head).to_csv(
+        index=False, float_format="%.9g", lineterminator="\n"
+    )
 
 
 def chosen_command(

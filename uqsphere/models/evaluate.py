@@ -124,7 +124,8 @@ def evaluate(
     if not study.black_box:
         for check in checked_rows(study, names, rows[:_CHECKED], columns):
             if check.grade == _FAILURE:
-                text = f"outside the validity range of the model: {check.text}"
-                warnings.warn(text, stacklevel=2)
+                warnings.warn(
+                    f"outside the validity range of the model: {check.text}", stacklevel=2
+                )
     table = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
     return table.assign(censored=np.asarray(answers.censored.any(axis=1)))

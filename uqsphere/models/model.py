@@ -259,9 +259,12 @@ class Model:
                 reason = f"{reason}, too large"
             note = f"{failures.get(k, reason)} {where_of(self.inputs, whole[k])}"
             values[failed] = np.nan
-        censored = np.zeros(values.shape, bool)
-        status = np.where(failed, FAILED, 0)
-        return EvaluatedRows(values=values, censored=censored, status=status, note=note)
+        return EvaluatedRows(
+            values=values,
+            censored=np.zeros(values.shape, bool),
+            status=np.where(failed, FAILED, 0),
+            note=note,
+        )
 
     def check_stop(self) -> None:
         """Raise Interrupted once `stop` is true."""

@@ -71,9 +71,9 @@ def _library_onset(study: Study) -> dict[str, float]:
     """Onset and hardness that the library has of a sphere, for the check of a contact that is taken
     for elastic.
     """
-    given = {*study.fixed, *study.random, *study.options}
     names = ("onset_pressure", "hardness")
     material = library()["sphere"].get(study.materials.get("sphere", ""))
+    given = {*study.fixed, *study.random, *study.options}
     decided = given & {"sphere.onset_pressure", "contact.law"}
     if decided or not material or not material.properties.keys() >= {*names}:
         return {}

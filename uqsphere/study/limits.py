@@ -224,8 +224,7 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit) -> Number:
         entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
     )
     if is_tests(table.strength):
-        tests = declared(Observations, {"fit": "weibull", **table.strength})
-        number = _tested(draft, tests, limit)
+        number = _tested(draft, declared(Observations, {"fit": "weibull", **table.strength}), limit)
         warn_unusual(number.mean, entry, draft)
         return number
     number = number_of(table.strength, entry, draft)
@@ -488,9 +487,13 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     """The sphere of the tests at its means, as `uqsphere.mechanics.crushing` takes it."""
     assert draft.scene is not None
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
-    # the counter-bodies of the study's rig store energy in the contacts too
-    compliance = 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E
-    sphere = {"E": E, "nu": nu, "density": density, "partner": compliance}
+    sphere = {
+        "E": E,
+        "nu": nu,
+        "density": density,
+        # the counter-bodies of the study's rig store energy in the contacts too
+        "partner": 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E,
+    }
     # the platens may be the partner in the rig; then the same body yields, else the sphere
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0

@@ -158,9 +158,9 @@ def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     tests = reduced_modulus(draft.mean("sphere.E"), draft.mean("sphere.nu"), *tested.platens)
     rig = draft.contact_modulus
     if abs(tests / rig - 1.0) > _STIFFER:
-        text = (
+        draft.warn(
             f"E* is {format_value(tests, 'sphere.E', 3)} in the tests but "
             f"{format_value(rig, 'sphere.E', 3)} in the rig, so equal values of {limit.quantity} "
-            'mean different forces. quantity = "P_max" limits the force itself'
+            'mean different forces. quantity = "P_max" limits the force itself',
+            "platens",
         )
-        draft.warn(text, "platens")

@@ -439,8 +439,7 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
         for end in (table.lower, table.upper)
     ]
     warn_of_rows(table, cells, rows, columns["column"], stopped, draft)
-    law = fit(columns["column"], stopped, table, bounds)
-    return Number(value=law, synthetic=table.synthetic)
+    return Number(value=fit(columns["column"], stopped, table, bounds), synthetic=table.synthetic)
 
 
 #: distributions of draws: whether each is a Weibull distribution
@@ -488,9 +487,11 @@ def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
             exponent=float(columns["size_exponent"].mean()),
             diameters=sizes if 0.0 < sizes[0] <= sizes[1] else (),
         )
-    law = law_of_draws(draws.tolist(), int(first["tests"]))
-    synthetic = table.synthetic or first["synthetic"] > 0.0
-    return Number(value=law, synthetic=synthetic, tested=tested)
+    return Number(
+        value=law_of_draws(draws.tolist(), int(first["tests"])),
+        synthetic=table.synthetic or first["synthetic"] > 0.0,
+        tested=tested,
+    )
 
 
 def observations(

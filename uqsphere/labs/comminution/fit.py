@@ -216,8 +216,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
         priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
         largest = tests.diameter >= 0.75 * tests.diameter.max()
-        energies = np.log(tests.last[largest])
-        middle = np.average(energies, weights=tests.weight[largest])
+        middle = np.average(np.log(tests.last[largest]), weights=tests.weight[largest])
         usual = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
         priors = {name: usual[name] for name in laws.SIZES[size]}
     priors[shape] = PRIORS[shape] if several else _FLAT
@@ -408,18 +407,6 @@ def _described(
     ]
     if want.synthetic:
         warnings.append(SYNTHETIC)
-    sizes = [
-        {
-            "diameter": size,
-            "tests": int(tests.weight[near].sum()),
-            "broke": int(tests.weight[near & tests.broke].sum()),
-            "breaks_half": quantiles(posterior.energy_at(0.5, size)),
-            "E50": quantiles(posterior.median(size)),
-            "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
-            "slope": quantiles(-posterior.slope(size)),
-        }
-        for size, near in [*tests.sizes.items()][:_MOST_SIZES]
-    ]
     return {
         "title": asked.title,
         "seed": asked.seed,
@@ -436,6 +423,17 @@ def _described(
         },
         "laws": about,
         "parameters": parameters,
-        "sizes": sizes,
+        "sizes": [
+            {
+                "diameter": size,
+                "tests": int(tests.weight[near].sum()),
+                "broke": int(tests.weight[near & tests.broke].sum()),
+                "breaks_half": quantiles(posterior.energy_at(0.5, size)),
+                "E50": quantiles(posterior.median(size)),
+                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
+                "slope": quantiles(-posterior.slope(size)),
+            }
+            for size, near in [*tests.sizes.items()][:_MOST_SIZES]
+        ],
         "warnings": warnings,
     }

@@ -145,8 +145,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
                 "one particle"
             )
         series = np.repeat(energy[rows], blows[rows].astype(int))
-        survived = particles[last] - broken[last]
-        for broke, number in ((True, broken[last]), (False, survived)):
+        for broke, number in ((True, broken[last]), (False, particles[last] - broken[last])):
             exact = broke and at_failure[last] and len(series) == 1
             if number > 0:
                 specimens.append((diameter[last], series, broke, exact, number))

@@ -62,7 +62,6 @@ def find_arrivals(record: Record) -> Arrivals:
     wave = incident.wave
     step = incident.step
     bar = incident.bar
-    behind = receiving.bar
     if record.document.record.aligned:
         return Arrivals(record.reflected.wave.start, receiving.wave.start)
     back, there = _delays(record, *_SURE)
@@ -79,7 +78,7 @@ def find_arrivals(record: Record) -> Arrivals:
         doubt_a += " (or another E or density)"
         speed_ratio = back.predicted / max(back.seen, 1.0)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
-    fits = (there.seen * step - bar.passage) * behind.wave_speed
+    fits = (there.seen * step - bar.passage) * receiving.bar.wave_speed
     doubt_b = _doubt(there, steep, soft, fits)
     if doubt_b:
         other = there.predicted / max(there.seen, 1.0)

@@ -60,8 +60,9 @@ def _records(chosen: argparse.Namespace) -> int:
         files |= {folder + name: text for name, text in sheet.written(test, asked).items()}
     content = contents[0]
     if several:
-        head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
-        files["tests.csv"] = csv_text(lines, head)
+        files["tests.csv"] = csv_text(
+            lines, ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
+        )
         content = {"tests": contents}
     finish(chosen, content, "\n\n".join(texts), files)
     return 2 if all("refused" in content for content in contents) else 0
@@ -74,7 +75,7 @@ def _fit_contact(chosen: argparse.Namespace) -> None:
     for note in fit.notes:
         print(f"note: {note}", file=sys.stderr)
     lines = fit.lines()
-    text = table(fit.rows()) + "\n\n" + lines
+    text = f"{table(fit.rows())}\n\n{lines}"
     finish(chosen, {**asdict(fit), "toml": lines}, text, {"contact.toml": lines})
 
 

@@ -217,9 +217,12 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         """The law of logarithms of E*, onset and H/p_y, of the touch, and of the pile-up if it is
         free."""
         modulus, onset, ratio = map(math.exp, x[:3])
-        pile_up = asked.pile_up or x[4]
         return face_law(
-            radius, modulus=modulus, onset=onset, hardness=onset * ratio, pile_up=pile_up
+            radius,
+            modulus=modulus,
+            onset=onset,
+            hardness=onset * ratio,
+            pile_up=asked.pile_up or x[4],
         )
 
     def residual(x: Array) -> Array:

@@ -190,8 +190,9 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         inside[begin : end + 1] = incident.strain[begin : end + 1]
         wave = _first_wave(incident, inside, incident.noise)
         incident = incident._replace(wave=wave._replace(foot=begin, end=end))
-    reflected = signals.get("reflected", incident)
-    return Record(document, start, incident, reflected, signals["receiving"])
+    return Record(
+        document, start, incident, signals.get("reflected", incident), signals["receiving"]
+    )
 
 
 # --- first waves ----------------------------------------------------------------------------------

@@ -142,8 +142,9 @@ def plan_text(plan: dict[str, Any]) -> str:
             row.append(text)
         wanted.append(row)
     notes = [f"note: {note}" for note in plan["notes"]]
-    heading = f"{free} at which a share breaks"
-    return "\n\n".join([plan["title"], table(rows), heading, table(wanted), *notes])
+    return "\n\n".join(
+        [plan["title"], table(rows), f"{free} at which a share breaks", table(wanted), *notes]
+    )
 
 
 def plan_csv(plan: dict[str, Any]) -> str:

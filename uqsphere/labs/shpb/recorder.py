@@ -139,8 +139,7 @@ def _form_of(lines: dict[int, str], written: str) -> _Form:
     divider = written[0]
     mark = written[1]
     is_number = NUMBER[mark].fullmatch
-    cells = cells_of(lines, divider)
-    rows = [row for row in cells.values() if any(map(is_number, row))]
+    rows = [row for row in cells_of(lines, divider).values() if any(map(is_number, row))]
     width = mode([*map(len, rows)] or [0])
     rows = [row for row in rows if len(row) == width]
     places = []
@@ -377,8 +376,9 @@ def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: 
                 "channels with one clock"
             )
         if len(table) != len(time):
-            text = "files of different length: the longer one is cut"
-            changes.add("read", text, signal=table.name)
+            changes.add(
+                "read", "files of different length: the longer one is cut", signal=table.name
+            )
     return time[:count]
 
 

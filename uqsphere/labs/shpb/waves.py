@@ -190,10 +190,9 @@ def read_test(record: Record) -> Reading:
 def _window(record: Record, arrivals: Arrivals) -> _Window:
     """The samples of both faces; UsageError for too few of the transmitted wave."""
     incident = record.incident
-    receiving = record.receiving
     wave = incident.wave
     aligned = record.document.record.aligned
-    count = _known_samples(receiving, int(arrivals.to_b), aligned)
+    count = _known_samples(record.receiving, int(arrivals.to_b), aligned)
     if count < _FEWEST:
         raise UsageError(
             f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: the record "
@@ -316,8 +315,7 @@ def _near_face(
     if asked.aligned and asked.polarity == "auto" and not record.shared:
         body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
         if reflected[body].mean() <= 0.0:
-            text = "has the sign of the incident wave; it is taken as tension"
-            note(after, "sign", text)
+            note(after, "sign", "has the sign of the incident wave; it is taken as tension")
             force = -bar.stiffness * (incident + reflected)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
