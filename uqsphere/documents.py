@@ -346,7 +346,7 @@ def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
 def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
     """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
     faults = dict[Place, Fault]()
-    above: set[Place] = set()  # every place on the way to a fault
+    above = set()  # every place on the way to a fault
     for number, entry in enumerate(error.errors(include_url=False)):
         if len(faults) >= MOST_FAULTS:
             faults[entry["loc"]] = Fault(

@@ -244,7 +244,7 @@ class Table:
         """
         column = str(column)
         headings = self.headings
-        bare = list[str]()
+        bare = []
         for heading in headings:
             without = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
             bare.append(next((name for name in without if name != heading), heading))
@@ -459,7 +459,7 @@ class Table:
         One behind an empty line needs a single column for that, and may be another measure; so does
         one of the last two rows of a single column of fine digits.
         """
-        columns = list[list[str]]()
+        columns = []
         rows = len(self)
         for cells in zip(*self.rows, strict=True):
             column = [text.replace(",", ".") for text in cells]

@@ -74,7 +74,7 @@ class Cache:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,
         (n,).
         """
-        answers = list[bytes]()
+        answers = []
         stored = np.zeros(len(rows), bool)
         size = 8 * self._outputs
         query = "SELECT answer FROM answers WHERE key = ?"

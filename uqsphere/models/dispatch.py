@@ -44,7 +44,7 @@ def answer_rows(
     analysis = model.study.analysis
     answers = np.full((total, len(model.outputs)), np.nan)
     failures = dict[int, NoAnswer]()
-    died_once = set[int]()
+    died_once = set()
     together = np.arange(0)
     # two sizes, none between: the last digits of a model may depend on the rows of a call, and time
     # does not repeat

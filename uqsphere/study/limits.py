@@ -414,7 +414,7 @@ def _warn_of_slips(
     far = np.abs(np.log(diameter / across)) > math.log(3.0)
     slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
     key = "force"
-    likely = list[str]()
+    likely = []
     if slips.any():
         first = np.argmax(slips)
         ratios = {

@@ -308,7 +308,7 @@ class Study:
         """The meaning of the study as plain JSON values: SI, every default explicit, no infinities;
         without title, gauges and what is read from the file as it stands.
         """
-        content: dict[str, Json] = plain(self)
+        content = plain(self)
         for key in ("title", "gauges", "path", "text", "warnings", "caveats", "overrides", "files"):
             del content[key]
         # the order of the random variables decides which point of a sequence goes to which of them

@@ -41,7 +41,7 @@ def _run(chosen: argparse.Namespace) -> None:
     posterior, fitted = fit(load_tests(asked, folder), asked)
     low, high = posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
-    content: dict[str, Any] = {**fitted, "strength_at": at}
+    content = {**fitted, "strength_at": at}
     files = {
         "draws.csv": posterior.strength_csv(at, synthetic=asked.tests.synthetic),
         "fit.json": _json(content),

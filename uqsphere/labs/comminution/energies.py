@@ -111,7 +111,7 @@ def offered_shares(
     sphere = _table(particle, "sphere")
     other = _table(partner, "plates", "bars")
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
-    tables: dict[str, Any] = {"sphere": sphere}
+    tables = {"sphere": sphere}
     if asked.contact_law:
         tables["contact"] = {"law": asked.contact_law}
     rows = {"sphere.radius": 0.5 * diameter}
@@ -142,7 +142,7 @@ def offered_shares(
 def _table(body: Elastic, *kinds: str) -> dict[str, Any]:
     """A body as a table of a study: its material where the library has it there, and its
     numbers."""
-    table: dict[str, Any] = {
+    table = {
         "E": f"{body.E!r} Pa",
         "nu": body.nu,
         "density": f"{body.density!r} kg/m3",

@@ -172,7 +172,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     edges, mass, _ = classes
     sizes = classes.sizes
     # energy of one blow per mass [J/kg], given in one of three ways; share that a particle absorbs
-    each: Array = laws.mass_of(sizes, density)
+    each = laws.mass_of(sizes, density)
     offered = feed.energy / each + feed.specific_energy + 0.5 * feed.speed**2
     share = np.ones(len(sizes))
     notes = list[str]()
@@ -257,7 +257,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
     warnings.append("energies are those absorbed by the particles; the machine uses more")
 
-    content: dict[str, Any] = {
+    content = {
         "title": asked.title,
         "blows": feed.blows,
         "energy_offered": offered.tolist(),

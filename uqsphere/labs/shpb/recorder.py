@@ -143,7 +143,7 @@ def _form_of(lines: dict[int, str], written: str) -> _Form:
     width = mode([*map(len, rows)] or [0])
     rows = [row for row in rows if len(row) == width]
     places = []
-    with_words = set[int]()
+    with_words = set()
     for place, column in enumerate(zip(*rows, strict=True)):
         words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
         if any(map(is_number, column)) and 2 * len(words) < len(column):

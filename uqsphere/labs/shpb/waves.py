@@ -395,7 +395,7 @@ def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float |
 def _pulse(incident: Signal, moves: bool) -> Array:
     """The incident wave, at face A if it `moves`, compression positive, from rest to rest."""
     wave = incident.wave
-    pulse: Array = -incident.strain[wave.start : wave.end + wave.lead]
+    pulse = -incident.strain[wave.start : wave.end + wave.lead]
     # parabolas over half the rise follow the pulse and leave most of the noise
     if 8 <= wave.rising < len(pulse):
         pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2)
