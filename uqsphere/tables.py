@@ -419,7 +419,7 @@ class Table:
         wrong = [k for k, text in enumerate(texts) if not (text in words or k in self._no_data)]
         if wrong:
             self.refuse(key, f"{column}: {as_text(texts[wrong[0]], 60)!r} is not {meant}", wrong)
-        return np.array([words.get(text, False) for text in texts], dtype=bool)
+        return np.array([words.get(text, False) for text in texts], bool)
 
     def check(self) -> None:
         """Raise TableError with every fault noted so far."""
@@ -468,7 +468,7 @@ class Table:
         if not columns or rows < 5:
             return
         digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
-        values = np.array(columns, dtype=float)
+        values = np.array(columns, float)
         steps = 10.0 ** -np.array(digits)
         for k in range(max(3, rows - 8), rows):
             above = values[:, :k]

@@ -126,7 +126,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         table = {"": 1.0, "%": 0.01}
         with_unit = ""
         such = "0.25"
-    if isinstance(text, bool) or not isinstance(text, (int, float, str)):
+    if isinstance(text, bool) or not isinstance(text, int | float | str):
         raise UnitError(f"must be a number{with_unit}, not {shown(text)}")
     if not isinstance(text, str):
         if dimension != "number":

@@ -83,7 +83,7 @@ def evaluate(
         raise UsageError(
             f"study must be a Study, as load_study returns it, not {type(study).__name__}"
         )
-    if not isinstance(frame, (pd.DataFrame, Mapping)):
+    if not isinstance(frame, pd.DataFrame | Mapping):
         raise UsageError(
             f"frame must be a DataFrame or a dict of arrays by name, not {type(frame).__name__}"
         )

@@ -516,7 +516,7 @@ def observations(
                     columns[key] = np.full(len(cells), value_of(name, INPUTS["bars.diameter"]))
             elif name is not None:
                 columns[key] = cells.numbers(name, dimension, unit, key=key)
-        stopped = np.zeros(len(cells), dtype=bool)
+        stopped = np.zeros(len(cells), bool)
         many = np.ones(len(cells))
         if table.censored is not None:
             stopped = cells.flags(table.censored, "censored", "0 or 1 (1: stopped)")

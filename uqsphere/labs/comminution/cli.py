@@ -69,7 +69,7 @@ def _run(chosen: argparse.Namespace) -> None:
         head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
         files["classes.csv"] = csv_text(rows, head)
         if answer["product"]:
-            rows = [(*row.values(),) for row in answer["product"]]
+            rows = [row.values() for row in answer["product"]]
             head = ["sieve [m]", "feed", "passing", "low", "high"]
             files["product.csv"] = csv_text(rows, head)
     for warning in dict.fromkeys(warnings):

@@ -134,7 +134,7 @@ def offered_shares(
         except UqsphereError as error:
             return elastic, [f"the shares of the energy are those of elastic contacts: {error}"]
     notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
-    taken, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
+    taken, whole = (answers[name].to_numpy(float) for name in quantities)
     share = taken / whole
     return np.where(np.isfinite(share), share, elastic), notes
 

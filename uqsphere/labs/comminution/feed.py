@@ -233,7 +233,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
 
     # --- where the numbers are extrapolated or assumed
-    warnings = [*classes.notes]
+    warnings = classes.notes
     if asked.tests.synthetic:
         warnings.insert(0, SYNTHETIC)
     if product:

@@ -225,7 +225,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     for name, prior in want.prior.items():
         if name in priors:
             priors[name] = (prior.log_mean, prior.log_sd)
-    return EnergyModel(law=law, size=size, ratio=want.ratio, priors=priors, classes=sizes)
+    return EnergyModel(law, size, want.ratio, priors, sizes)
 
 
 # --- sampling -------------------------------------------------------------------------------------

@@ -141,7 +141,7 @@ def survivor_bound(energies: Values, gamma: Values) -> Array:
     >>> survivor_bound([1.0, 1.0, 1.0], 4.0).round(4).tolist()
     1.8166
     """
-    blows = np.asarray(energies, dtype=float)
+    blows = np.asarray(energies, float)
     bound = np.zeros(np.broadcast_shapes(blows.shape[:-1], np.shape(gamma)))
     for energy in np.moveaxis(blows, -1, 0)[::-1]:
         struck = energy > 0.0

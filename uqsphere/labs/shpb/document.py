@@ -24,7 +24,7 @@ from uqsphere.units import parse_value
 _HEAVIEST = 8000.0
 
 Columns = Annotated[
-    tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)
+    tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str | int) else v)
 ]
 
 

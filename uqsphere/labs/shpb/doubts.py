@@ -162,21 +162,20 @@ def check_specimen(
     apart = abs(a.value - b.value) / max(a.value, b.value)
     differ = a.low > b.high or b.low > a.high or apart > _APART
     uncommon = before["mean"].value < (1.0 - EQUILIBRIUM) * 0.5 * (a.value + b.value)
-    if mass is not None:
-        if differ or uncommon or apart > EQUILIBRIUM:
-            return [
-                f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} "
-                "g, explains the difference. B is the force at the far face"
-            ]
-        return []
-    if differ:
-        text = f"the faces differ by {apart:.0%} ({both})"
-        for face in peaks:
-            peaks.doubt(face, text, a.low, b.low, a.high, b.high)
-    if uncommon:
-        text = (
-            f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean has "
-            "no common peak"
-        )
-        peaks.doubt("mean", text, a.high, b.high)
+    if mass is None:
+        if differ:
+            text = f"the faces differ by {apart:.0%} ({both})"
+            for face in peaks:
+                peaks.doubt(face, text, a.low, b.low, a.high, b.high)
+        if uncommon:
+            text = (
+                f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean "
+                "has no common peak"
+            )
+            peaks.doubt("mean", text, a.high, b.high)
+    elif differ or uncommon or apart > EQUILIBRIUM:
+        return [
+            f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} g, "
+            "explains the difference. B is the force at the far face"
+        ]
     return []

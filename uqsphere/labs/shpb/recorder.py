@@ -571,7 +571,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     text = "the time has too few digits to distinguish its samples: even steps are assumed"
     changes.add("read", text)
     # the last time is rounded like the others: a line gives the mean step
-    slope = np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0]
+    slope = np.polyfit(np.arange(len(time)), time - time[0], 1)[0]
     return time[0] + slope * np.arange(len(time)), raw
 
 
