@@ -6,7 +6,6 @@ verdict is established by it.
 import math
 import re
 from collections.abc import Sequence
-from typing import TypeAlias
 
 from uqsphere.arrays import frozen
 from uqsphere.materials import PROPERTIES, Material, library
@@ -18,7 +17,7 @@ from uqsphere.uq.fitting import is_fitted, modulus_of
 from .study import Draft, Limit
 
 #: the library's range of a property, and of which solids
-Range: TypeAlias = tuple[float, float, str]
+Range = tuple[float, float, str]
 #: a factor off the library's range that is told
 _FAR = 3.0
 #: numbers that are alike in all samples of a material, and a factor off its range that is told
