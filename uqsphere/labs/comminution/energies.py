@@ -126,7 +126,7 @@ def offered_shares(
         tables["rig"] = {"kind": "impact", "speed": "1 m/s"}
         tables["target"] = {"kind": "thick", **other}
         rows["rig.speed"] = np.sqrt(2.0 * energy)
-    quantities = ("specific_energy_sphere", "specific_impact_energy")
+    quantities = ["specific_energy_sphere", "specific_impact_energy"]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -134,7 +134,7 @@ def offered_shares(
         except UqsphereError as error:
             return elastic, [f"the shares of the energy are those of elastic contacts: {error}"]
     notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
-    taken, whole = (answers[name].to_numpy(float) for name in quantities)
+    taken, whole = answers[quantities].to_numpy(float).T
     share = taken / whole
     return np.where(np.isfinite(share), share, elastic), notes
 

@@ -162,7 +162,7 @@ def log_likelihoods(
     names = [*model.priors]
     fitted = "gamma" in names
     nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
-    every = np.stack(tests.bounds(nodes))
+    every = tests.bounds(nodes)
     with np.errstate(divide="ignore"):
         logs = np.log(every)
 
@@ -185,7 +185,7 @@ def log_likelihoods(
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
         median = model.median(p, tests.diameter)
         shape = p[laws.LAWS[model.law]]
-        low, high = bounds(x)
+        ends = bounds(x)
         likelihood = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for rows, function in (
@@ -193,9 +193,8 @@ def log_likelihoods(
                 (~tests.exact, laws.log_between),
             ):
                 if rows.any():
-                    ends = (low[..., rows], high[..., rows])
                     likelihood[..., rows] = function(
-                        model.law, ends, median[..., rows], shape, model.ratio
+                        model.law, ends[..., rows], median[..., rows], shape, model.ratio
                     )
         return tests.weight * likelihood
 

@@ -61,10 +61,8 @@ def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Val
     return median * hazards ** (1.0 / (0.6 * shape))
 
 
-def log_density(
-    law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
-) -> Values:
-    """ln f(e) at the upper one of two ends [J/kg]."""
+def log_density(law: str, ends: Array, median: Array, shape: Array, ratio: float) -> Values:
+    """ln f(e) at the upper one of two ends (2, ...) [J/kg]."""
     energy = ends[1]
     if law == "weibull":
         exponent = hazard(energy, median, shape)
@@ -75,10 +73,8 @@ def log_density(
     return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
 
 
-def log_between(
-    law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
-) -> Array:
-    """ln(P(high) - P(low)) of two ends [J/kg]."""
+def log_between(law: str, ends: Array, median: Array, shape: Array, ratio: float) -> Array:
+    """ln(P(high) - P(low)) of two ends (2, ...) [J/kg]."""
     if law == "weibull":
         low, high = (hazard(end, median, shape) for end in ends)
         larger = -low

@@ -67,14 +67,14 @@ class Specimens(NamedTuple):
         sizes = [np.exp(part.mean()) for part in parts]
         return {size: np.abs(np.log(self.diameter / size)) < _NEAR for size in sizes}
 
-    def bounds(self, gamma: Array) -> tuple[Array, Array]:
-        """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
+    def bounds(self, gamma: Array) -> Array:
+        """(low, high] of the first fracture energy, (2, ..., s), for gamma (...); equal where it is
         known exactly."""
         exponent = gamma[..., None]
         breaking = self._is_last & self.broke[:, None]
         survived = laws.survivor_bound(np.where(breaking, 0.0, self.blows), exponent)
         ended = np.where(self.broke, laws.survivor_bound(self.blows, exponent), np.inf)
-        return np.where(self.exact, self.last, survived), np.where(self.exact, self.last, ended)
+        return np.where(self.exact, self.last, [survived, ended])
 
 
 def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
@@ -163,7 +163,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
             "every particle survived: nothing bounds the fracture energy from above; test at "
             "higher energies"
         )
-    if tests.broke.all() and not tests.exact.any() and not tests.repeated.any():
+    if (tests.broke & ~tests.exact & ~tests.repeated).all():
         raise UsageError(
             "every particle broke at its first blow: nothing bounds it from below; test at lower "
             "energies"
