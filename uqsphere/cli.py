@@ -380,7 +380,7 @@ def _templates() -> dict[str, Path]:
 
     shipped = shipped_studies()
     folder = next(iter(shipped.values())).parent
-    return {**shipped, **{path.stem: path for path in sorted(folder.glob("lab_*.toml"))}}
+    return shipped | {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
 
 
 def _new(options: Namespace) -> None:

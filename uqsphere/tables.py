@@ -740,7 +740,7 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
         )
     # a row ends with its last cell that is not empty
     width = min(max(map(len, rows.values()), default=0), MOST_COLUMNS)
-    return {k: "\t".join([*row, *[""] * (width + 1 - len(row))]) for k, row in rows.items()}
+    return {k: "\t".join(row + [""] * (width + 1 - len(row))) for k, row in rows.items()}
 
 
 def _has_formulas(data: bytes, name: str) -> bool:

@@ -43,8 +43,8 @@ def from_library(raw: Any, *kinds: str) -> Any:
     if raw["material"] not in materials:
         raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
     properties = materials[raw["material"]].properties
-    keys = [key for key in ("E", "nu", "density") if key in properties]
-    return {**{key: properties[key].text for key in keys}, **raw}
+    known = {key: properties[key].text for key in ("E", "nu", "density") if key in properties}
+    return known | raw
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

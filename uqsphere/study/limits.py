@@ -505,7 +505,7 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     if draft.plastic and face:
         law = parameters_of(face)
         if np.isfinite([*law.values()]).all():
-            return {**sphere, **law, "takes": takes}
+            return sphere | law | {"takes": takes}
     return sphere
 
 

@@ -256,9 +256,7 @@ class Study:
         ['x']
         """
         before, after = (_keys(study.meaning()) for study in (self, other))
-        changed = [
-            key for key in {**before, **after} if before.get(key, ...) != after.get(key, ...)
-        ]
+        changed = [key for key in before | after if before.get(key, ...) != after.get(key, ...)]
         # the order of the variables follows from the variables
         return [key for key in changed if key != "order"] or changed
 

@@ -119,7 +119,7 @@ def offered_shares(
         mass = laws.mass_of(diameter, particle.density)
         weight = _HEAVY * float(mass.max())
         hammer = {"mass": f"{weight!r} kg", "drop_height": "1 m", "face_radius": "flat"}
-        tables |= {"rig": {"kind": "drop_weight"}, "hammer": {**hammer, **other}}
+        tables |= {"rig": {"kind": "drop_weight"}, "hammer": hammer | other}
         tables["anvil"] = {"kind": "thick", **other}
         rows["hammer.drop_height"] = energy * mass / (weight * _GRAVITY)
     else:

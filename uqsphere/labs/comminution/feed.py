@@ -274,7 +274,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             for k in range(len(sizes))
         ],
         "product": passes,
-        "warnings": [*warnings, *notes],
+        "warnings": warnings + notes,
         "particle_share": share.tolist(),
     }
     if feed.lot:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Flags, Names, Values
 from uqsphere.errors import UsageError
 from uqsphere.tables import Table, read_table
 
@@ -41,7 +41,7 @@ class Specimens(NamedTuple):
     broke: Flags
     exact: Flags
     weight: Array
-    notes: tuple[str, ...] = ()
+    notes: Names = ()
 
     @property
     def last(self) -> Array:
@@ -156,7 +156,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         broke=np.array(ended),
         exact=np.array(known),
         weight=np.array(weights),
-        notes=(*table.notes, *notes, *_odd_rows(table, diameter, energy)),
+        notes=table.notes + notes + _odd_rows(table, diameter, energy),
     )
     if not tests.broke.any():
         raise UsageError(

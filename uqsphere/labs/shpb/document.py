@@ -169,7 +169,7 @@ class RecordDocument(Section):
         receiving = from_library(data.get("receiving_bar", {}), "bars")
         if isinstance(receiving, dict):
             shared = {key: value for key, value in incident.items() if key != "gauge"}
-            receiving = {**shared, **receiving}
+            receiving = shared | receiving
         return {**data, "incident_bar": incident, "receiving_bar": receiving}
 
     @model_validator(mode="after")

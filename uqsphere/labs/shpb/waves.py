@@ -372,7 +372,7 @@ def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
     )
     stiffness = incident.bar.stiffness
     check_bending(peaks, "A", stiffness * spread, step, stiffness * incident.wave.peak)
-    for text in (*peaks["A"].doubts, *peaks["B"].doubts):
+    for text in peaks["A"].doubts + peaks["B"].doubts:
         if text not in peaks["mean"].doubts:
             peaks.doubt("mean", text)
 
