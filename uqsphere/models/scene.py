@@ -139,11 +139,11 @@ def evaluate_scene(
         raise UsageError(str(error)) from error
     good = answered(answers.status)
     none = np.zeros(len(rows), bool)
-    values = np.stack([answers.values[name] for name in columns], axis=1)
+    values = np.column_stack([answers.values[name] for name in columns])
     failed = np.flatnonzero(~good)[:1]
     return EvaluatedRows(
         values=np.where(good[:, None], values, np.nan),
-        censored=np.stack([answers.censored.get(name, none) for name in columns], axis=1),
+        censored=np.column_stack([answers.censored.get(name, none) for name in columns]),
         status=np.where(good, 0, answers.status),
         note="".join(f"{STATUS[answers.status[k]]} {where_of(names, rows[k])}" for k in failed),
     )

@@ -117,7 +117,7 @@ def _fit_inertia(motion: Array, step: float, heaviest: float) -> tuple[float, fl
     approaches -= np.cbrt(np.square(np.maximum(force_b, 0.0)))
     impulses = step**2 * np.cumsum(np.cumsum(force_b))
     difference = step**2 * np.cumsum(np.cumsum(force_a - force_b))
-    columns = np.stack([way, -approaches, impulses], axis=1)
+    columns = np.column_stack([way, -approaches, impulses])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     bounds = ([0.0, -np.inf, -np.inf], [heaviest * scale[0], np.inf, np.inf])
     fitted = lsq_linear(columns / scale, difference, bounds, method="bvls").x / scale
