@@ -4,24 +4,24 @@ called.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias, dataclass_transform
+from typing import Any, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
-Flags: TypeAlias = NDArray[np.bool_]
-Places: TypeAlias = NDArray[np.int64]
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Places = NDArray[np.int64]
 #: two arrays that belong to each other, such as coordinates or both ends of intervals
-Pair: TypeAlias = tuple[Array, Array]
+Pair = tuple[Array, Array]
 #: names of columns, in their order
-Names: TypeAlias = Sequence[str]
+Names = Sequence[str]
 #: a number or an array of numbers: argument and result of elementwise formulas
-Values: TypeAlias = Any
+Values = Any
 #: columns by name, each a number or an array (n,)
-ColumnMap: TypeAlias = Mapping[str, Values]
+ColumnMap = Mapping[str, Values]
 #: numbers or flags of any kind, plain or in named columns
-Cells: TypeAlias = NDArray[Any]
+Cells = NDArray[Any]
 #: decorator of formulas that are evaluated in every row, also where they are not valid or not used
 quiet = np.errstate(all="ignore")
 

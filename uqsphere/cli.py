@@ -158,8 +158,7 @@ def _parser() -> ArgumentParser:
 
     def add(command: Callable[[Namespace], int | None]) -> ArgumentParser:
         """The parser of a command, whose docstring has its help and its examples."""
-        text, *lines = (getdoc(command) or " ").splitlines()
-        examples = lines[1:]
+        text, _, *examples = (getdoc(command) or "\n\n").splitlines()
         heading = "example:" if len(examples) == 1 else "examples:"
         added = commands.add_parser(
             command.__name__[1:],
@@ -307,7 +306,7 @@ def _warn(warnings: Iterable[str]) -> None:
 
 def _folder(options: Namespace, what: str) -> Path:
     """The directory of a command's results: the one requested, or one named after the study."""
-    if options.out is not None:
+    if options.out:
         return Path(options.out)
     stem = "study" if str(options.file) == "-" else options.file.stem
     return Path(f"{stem}-{what}")
@@ -381,7 +380,7 @@ def _templates() -> dict[str, Path]:
 
     shipped = shipped_studies()
     folder = next(iter(shipped.values())).parent
-    return {**shipped, **{path.stem: path for path in sorted(folder.glob("lab_*.toml"))}}
+    return shipped | {path.stem: path for path in sorted(folder.glob("lab_*.toml"))}
 
 
 def _new(options: Namespace) -> None:
@@ -447,7 +446,7 @@ def _check(options: Namespace) -> None:
 def _exit_code(runs: Iterable[Any]) -> int:
     """NOT_MET if any decision with a target is not met."""
     decisions = chain.from_iterable(run.results.decisions for run in runs)
-    if any(each.target is not None and each.verdict != "met" for each in decisions):
+    if any(each.target and each.verdict != "met" for each in decisions):
         return NOT_MET
     return 0
 
@@ -544,7 +543,7 @@ def _sweep(options: Namespace) -> int:
             made = run_on_cluster(sweep, waiting, start, stop)
         for point in made:
             run = finished_run(sweep, point)
-            if run is not None:
+            if run:
                 runs[point.name] = run
                 page = write_sweep(sweep, runs)
     if runs:
@@ -590,7 +589,7 @@ def _compare(options: Namespace) -> None:
     runs = [open_run(folder) for folder in options.folders]
     names = [str(folder) for folder in options.folders]
     print(comparison_text(runs, names))
-    if options.csv is not None:
+    if options.csv:
         compare(runs, names).to_csv(options.csv, index=False)
         print(f"wrote {options.csv}")
 
@@ -610,7 +609,7 @@ def _history(options: Namespace) -> None:
     width = min(max(len(text) for text, _ in rows), 88)
     print(f"{study.title}: one impact, every number at its mean")
     print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
-    if options.out is not None:
+    if options.out:
         with locked(options.out):
             for name in write_history(course, options.out):
                 print(f"wrote {options.out / name}")

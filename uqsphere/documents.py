@@ -199,7 +199,7 @@ def lines_of(text: str) -> dict[str, int]:
     for number, line in enumerate(text.split("\n"), 1):
         header = re.match(r"\s*(\[\[?)\s*([^\]=,]+?)\s*\]\]?\s*(?:#.*)?$", line)
         key = header or re.match(r"()\s*([\w.\"' -]+?)\s*=", line)
-        if key is None:
+        if not key:
             continue
         path = path_of(*_parts(key[2]))
         if header:
@@ -346,7 +346,7 @@ def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
 def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
     """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
     faults = dict[Place, Fault]()
-    above: set[Place] = set()  # every place on the way to a fault
+    above = set()  # every place on the way to a fault
     for number, entry in enumerate(error.errors(include_url=False)):
         if len(faults) >= MOST_FAULTS:
             faults[entry["loc"]] = Fault(

@@ -13,7 +13,7 @@ from uqsphere.units import parse_value
 MATERIAL_KINDS = ("sphere", "bars", "plates")
 
 #: property -> dimension of its unit
-PROPERTIES: dict[str, str] = {
+PROPERTIES = {
     "E": "pressure",
     "nu": "number",
     "density": "density",
@@ -30,7 +30,7 @@ PROPERTIES: dict[str, str] = {
 #: property -> further keys -> dimension.  A tensile strength holds for a volume under tension; the
 #: median fracture energy of particles of diameter d is value (1 + (size/d)^exponent) (Tavares and
 #: King 1998)
-FURTHER: dict[str, dict[str, str]] = {
+FURTHER = {
     "tensile_strength": {"volume": "volume"},
     "fracture_energy": {"size": "length", "exponent": "number"},
 }
@@ -63,7 +63,7 @@ class Material:
     name: str
     title: str
     properties: Mapping[str, Property]
-    rock: bool = False
+    rock: bool
 
 
 @cache
@@ -74,7 +74,7 @@ def library() -> dict[str, dict[str, Material]]:
     0.25
     """
     tables = packaged("materials.toml")
-    materials = dict[str, dict[str, Material]]()
+    materials = {}
     for kind in MATERIAL_KINDS:
         materials[kind] = {name: _material(name, table) for name, table in tables[kind].items()}
     return materials

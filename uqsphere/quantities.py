@@ -44,7 +44,7 @@ def format_bounds(quantity: Quantity) -> str:
     'Poisson ratio of the sphere must be between -1 and 0.5 (exclusive)'
     """
     low = format_value(quantity.lower, quantity.name)
-    name = quantity.meaning.partition(":")[0]
+    name = quantity.called
     if not math.isfinite(quantity.upper):
         return f"{name} must be above {low}"
     ends = "inclusive" if quantity.closed else "exclusive"
@@ -276,10 +276,7 @@ def format_estimate(
     """
     if low is None or high is None or low == high:
         return format_value(value, name, min(most, 6))
-    unit = ""
-    factor = 1.0
-    if name:
-        unit, factor = display_unit(name, value)
+    unit, factor = display_unit(name, value)
     scaled = [number * factor for number in (value, low, high)]
     spec = ".6g"
     if all(map(math.isfinite, scaled)):  # not a difference of numbers near the largest there are

@@ -69,12 +69,7 @@ _SUMMARY = re.compile(
     re.IGNORECASE,
 )
 #: keys that a study gives the unit of a column by
-_UNIT_KEYS = {
-    "force": "force_unit",
-    "diameter": "diameter_unit",
-    "column": "unit",
-    "draws": "unit",
-}
+_UNIT_KEYS = {"force": "force_unit", "diameter": "diameter_unit", "column": "unit", "draws": "unit"}
 #: what a row of units below the headings may have; units of US customary tables that no key takes
 _ALL_UNITS = {"", "-", *SPELLED} | {unit for unit in chain(*UNITS.values()) if not unit.isdigit()}
 _FOREIGN_UNITS = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
@@ -115,7 +110,7 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
         if rest == "in" and not set("/,") & set(gap[0]):
             continue  # the inner diameter D_in is no length in inches
         unit = _known_unit(rest, dimension)
-        if unit is not None:
+        if unit:
             return name, unit
     return heading, None
 
@@ -220,8 +215,8 @@ class Table:
     headings: list[str]
     rows: list[list[str]]
     lines: list[int]
-    notes: list[str] = field(default_factory=list)
-    decimal: str = ""
+    notes: list[str]
+    decimal: str
     apart: set[int] = field(default_factory=set)
     faults: dict[tuple[str, str], dict[int, None]] = field(default_factory=dict)
 
@@ -249,7 +244,7 @@ class Table:
         """
         column = str(column)
         headings = self.headings
-        bare = list[str]()
+        bare = []
         for heading in headings:
             without = (unit_in_heading(heading, name)[0] for name in (dimension, *UNITS))
             bare.append(next((name for name in without if name != heading), heading))
@@ -305,12 +300,10 @@ class Table:
         """
         at = self.place(column, dimension, key)
         column = str(column)
-        factor = 1.0
         heading = self.headings[at]
         if column.isdigit():
             column = heading
-        if dimension != "number":
-            factor = self._factor(heading, dimension, unit, key)
+        factor = self._factor(heading, dimension, unit, key)
         values, faults = self._parsed([row[at] for row in self.rows], blank)
         for message, places in faults.items():
             self.refuse(key, f"{column}: {message}", places)
@@ -321,11 +314,13 @@ class Table:
 
     def _factor(self, heading: str, dimension: str, unit: str | None, key: str) -> float:
         """The unit of a column in SI: as given or of its heading, which must agree."""
+        if dimension == "number":
+            return 1.0
         units = UNITS[dimension]
         allowed = typed_units(dimension)
         unit_key = _UNIT_KEYS.get(key, "units")
         in_heading = unit_in_heading(heading, dimension)[1]
-        if not unit and in_heading is None:
+        if not (unit or in_heading):
             wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
@@ -417,26 +412,24 @@ class Table:
             self.faults.setdefault((key, message), {}).update(dict.fromkeys(lines))
 
     def flags(
-        self,
-        column: str,
-        key: str,
-        meant: str,
-        words: Mapping[str, bool] = WORDS["flags"],
+        self, column: str, key: str, meant: str, words: Mapping[str, bool] = WORDS["flags"]
     ) -> Flags:
         """A column of flags, (n,), by the word in each cell."""
         texts = [text.lower() for text in self.texts(column, key)]
         wrong = [k for k, text in enumerate(texts) if not (text in words or k in self._no_data)]
         if wrong:
             self.refuse(key, f"{column}: {as_text(texts[wrong[0]], 60)!r} is not {meant}", wrong)
-        return np.array([words.get(text, False) for text in texts], dtype=bool)
+        return np.array([words.get(text, False) for text in texts], bool)
 
     def check(self) -> None:
         """Raise TableError with every fault noted so far."""
         for k, message in self._no_data.items():
             self.refuse("", message, [k])
         if self.faults:
-            faults = self.faults.items()
-            messages = [f"{self.name}: {_lines([*lines])}: {text}" for (_, text), lines in faults]
+            messages = [
+                f"{self.name}: {_lines([*lines])}: {text}"
+                for (_, text), lines in self.faults.items()
+            ]
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:
@@ -466,7 +459,7 @@ class Table:
         One behind an empty line needs a single column for that, and may be another measure; so does
         one of the last two rows of a single column of fine digits.
         """
-        columns = list[list[str]]()
+        columns = []
         rows = len(self)
         for cells in zip(*self.rows, strict=True):
             column = [text.replace(",", ".") for text in cells]
@@ -475,7 +468,7 @@ class Table:
         if not columns or rows < 5:
             return
         digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
-        values = np.array(columns, dtype=float)
+        values = np.array(columns, float)
         steps = 10.0 ** -np.array(digits)
         for k in range(max(3, rows - 8), rows):
             above = values[:, :k]
@@ -747,7 +740,7 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
         )
     # a row ends with its last cell that is not empty
     width = min(max(map(len, rows.values()), default=0), MOST_COLUMNS)
-    return {k: "\t".join([*row, *[""] * (width + 1 - len(row))]) for k, row in rows.items()}
+    return {k: "\t".join(row + [""] * (width + 1 - len(row))) for k, row in rows.items()}
 
 
 def _has_formulas(data: bytes, name: str) -> bool:

@@ -81,6 +81,11 @@ class Quantity:
         """The SI unit of the quantity."""
         return next(iter(UNITS[self.dimension]))
 
+    @property
+    def called(self) -> str:
+        """Its name, without what it is made of."""
+        return self.meaning.partition(":")[0]
+
     def allows(self, value: Values) -> Values:
         """Whether each value [SI] is within the bounds."""
         if self.closed:
@@ -121,9 +126,9 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         table = {"": 1.0, "%": 0.01}
         with_unit = ""
         such = "0.25"
-    if isinstance(text, bool) or not isinstance(text, (int, float, str)):
+    if isinstance(text, bool) or not isinstance(text, int | float | str):
         raise UnitError(f"must be a number{with_unit}, not {shown(text)}")
-    if isinstance(text, (int, float)):
+    if not isinstance(text, str):
         if dimension != "number":
             bare = bare_number(text)
             raise UnitError(
@@ -144,7 +149,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             f'{text!r} has a thousands separator. Write "{number}{stripped[mark.end() :]}"'
         )
     match = _NUMBER.match(stripped)
-    if match is None:
+    if not match:
         raise UnitError(
             f"{text!r} is not a number{with_unit}{alien(text)}. Write, for example, {such}"
         )

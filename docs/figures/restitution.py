@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.closed_form import yielding_depth
 from uqsphere.mechanics.rigs import wave_loss
 from uqsphere.mechanics.yielding import FLOW, Face, metal_onset
 
@@ -62,7 +61,7 @@ def computed(
         modulus=np.asarray(modulus * every),
         effective_radius=radius * every,
     )
-    found = face.restitution(yielding_depth(face, mass, speeds))
+    found = face.restitution(face.depth_of_energy(0.5 * mass * speeds**2))
     if not waves:
         return found
     shear = np.sqrt(plate_E / (2.0 * (1.0 + plate_nu) * plate_density))

@@ -133,8 +133,8 @@ def test_broken_share_and_its_inverse(case: dict[str, float]) -> None:
     if 0.0 < case["cdf"] < 1.0 - 1e-9:
         back = laws.energy_at("lognormal", share, case["E50"], case["sigma"], ratio)
         assert float(back) == pytest.approx(case["e"], rel=1e-9)
-    weibull = laws.broken_share("weibull", case["e"], case["E50"], 3.0)
-    assert float(laws.energy_at("weibull", weibull, case["E50"], 3.0)) == pytest.approx(
+    weibull = laws.broken_share("weibull", case["e"], case["E50"], 3.0, ratio)
+    assert float(laws.energy_at("weibull", weibull, case["E50"], 3.0, ratio)) == pytest.approx(
         case["e"], rel=1e-9
     )
 

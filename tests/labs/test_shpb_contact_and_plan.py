@@ -16,13 +16,7 @@ from scipy.stats import weibull_min
 import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.contact import (
-    ContactDocument,
-    face_approach,
-    face_law,
-    fit_contact,
-    load_loading,
-)
+from uqsphere.labs.shpb.contact import ContactDocument, face_approach, face_law, fit_contact
 from uqsphere.labs.shpb.plan import PlanDocument, plan_test
 from uqsphere.mechanics.contact import hertz_constant
 
@@ -46,7 +40,7 @@ def loading(
 def fit(frame: pd.DataFrame, folder: Path, **keys: Any) -> Any:
     frame.to_csv(folder / "slow.csv", index=False)
     asked = ContactDocument(file="slow.csv", diameter="10 mm", **keys)
-    return fit_contact(load_loading(asked, folder), asked)
+    return fit_contact(asked, folder)
 
 
 def test_a_face_is_hertz_below_its_onset() -> None:

@@ -43,8 +43,8 @@ def from_library(raw: Any, *kinds: str) -> Any:
     if raw["material"] not in materials:
         raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
     properties = materials[raw["material"]].properties
-    keys = [key for key in ("E", "nu", "density") if key in properties]
-    return {**{key: properties[key].text for key in keys}, **raw}
+    known = {key: properties[key].text for key in ("E", "nu", "density") if key in properties}
+    return known | raw
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
@@ -58,8 +58,9 @@ def csv_text(content: Any, head: list[str] | None = None) -> str:
     """Columns by their names, or rows below a head, as CSV."""
     import pandas as pd
 
-    frame = pd.DataFrame(content, columns=head)
-    return str(frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
+    return pd.DataFrame(content, columns=head).to_csv(
+        index=False, float_format="%.9g", lineterminator="\n"
+    )
 
 
 def chosen_command(
@@ -87,7 +88,7 @@ def finish(chosen: argparse.Namespace, content: Any, text: str, files: Mapping[s
     from uqsphere.results.folder import write_files
 
     written = []
-    if chosen.out is not None:
+    if chosen.out:
         write_files(chosen.out, files)
         written = [str(chosen.out / name) for name in files]
     if chosen.json:

@@ -144,7 +144,7 @@ def compare_with_paper(scene: Scene) -> tuple[PaperValue, ...]:
     def of(quantity: str, printed: float, note: str) -> PaperValue:
         return PaperValue(
             quantity=quantity,
-            name=OUTPUTS[quantity].meaning.partition(":")[0],
+            name=OUTPUTS[quantity].called,
             printed=float(printed),
             corrected=_number(corrected, quantity),
             full=_number(full, quantity),

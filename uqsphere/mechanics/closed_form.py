@@ -209,15 +209,6 @@ def _elastic(scene: Scene, ahead: Partner, force: Array) -> ColumnMap:
     return {**at, "radiated": (1.0 - np.square(at["restitution"])) / (2.0 * lam)}
 
 
-def yielding_depth(face: Face, mass: Values, speed: Values) -> Array:
-    """Depth z = alpha/alpha_y of an impact on a contact that yields, (R23).
-
-    It follows from M* v²/2 = W(z) P_y alpha_y; `Face.pressed` gives the state at that depth.
-    """
-    energy = 0.5 * mass * np.square(speed)
-    return face.depth_of_work(energy / (face.onset_force * face.onset_approach))
-
-
 def light_sphere_constant(behind: Values, ahead: Values) -> Values:
     """Hertz constant of two contacts in series, with a massless sphere between them, (R15)."""
     return (behind ** (-2.0 / 3.0) + ahead ** (-2.0 / 3.0)) ** -1.5
@@ -250,11 +241,9 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
         return every
     if behind is not None or scene.horizon is not None:
         return ~every
-    if ahead.kind in ("thick", "mass"):
-        return every
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
-        return ~every
+        return every & (ahead.kind in ("thick", "mass"))
     duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
     return (ahead.reflection == 0.0) | ~(duration > ahead.round_trip)
 
@@ -361,7 +350,8 @@ def _impact(scene: Scene) -> ColumnMap:
             **_over(at["duration"]),
         }
     else:
-        depth = yielding_depth(face, reduced_mass(scales.mass, ahead.mass), scales.speed)
+        energy = 0.5 * reduced_mass(scales.mass, ahead.mass) * np.square(scales.speed)
+        depth = face.depth_of_energy(energy)
         state = face.pressed(depth)
         restitution = face.restitution(depth)
         to_scaled = face.onset_approach / scales.approach

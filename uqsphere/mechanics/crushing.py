@@ -77,8 +77,7 @@ def value_at(
         }
     )
     if isinstance(of, str):
-        amount: Array = columns[of]
-        return amount
+        return np.asarray(columns[of])
     return demand(CRITERIA[of[0]], columns, of[1])
 
 

@@ -264,8 +264,9 @@ class Face:
         depth = newton(lambda z: (self.force(z) - beyond) / self.slope(z), start, 1.0)
         return np.where(ratio > 1.0, depth, np.cbrt(np.square(ratio)))
 
-    def depth_of_work(self, work: Array) -> Array:
-        """z at which the work of first loading is `work` P_y alpha_y."""
+    def depth_of_energy(self, energy: Array) -> Array:
+        """z at which first loading has taken an energy [J], W(z) P_y alpha_y, (R23)."""
+        work = energy / (self.onset_force * self.onset_approach)
         # b = 0 goes deepest, W = 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so that Newton's
         # method converges from above
         start = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (work - 0.4), 1.0)) - 1.0) / 1.5

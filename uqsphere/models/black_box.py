@@ -154,8 +154,9 @@ def _answers(returned: Any, count: int, outputs: Names) -> Array:
         if name not in returned:
             keys = ", ".join(repr(as_text(key, 60)) for key in list(returned)[:6]) or "nothing"
             raise ModelError(f"the model returned {keys}, but no {name!r}")
-    columns = [_column(by_index(returned[name], count), name, count) for name in outputs]
-    return np.stack(columns, axis=1)
+    return np.column_stack(
+        [_column(by_index(returned[name], count), name, count) for name in outputs]
+    )
 
 
 def by_index(value: Any, count: int) -> Any:

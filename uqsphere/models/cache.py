@@ -67,14 +67,14 @@ class Cache:
 
     def _keys(self, rows: Array) -> list[bytes]:
         """What rows (n, inputs) are stored by."""
-        numbers = np.ascontiguousarray(rows + 0.0, dtype="<f8")  # + 0.0: -0 is 0
+        numbers = np.ascontiguousarray(rows + 0.0, "<f8")  # + 0.0: -0 is 0
         return [self._digest(row.tobytes()) for row in numbers]
 
     def read(self, rows: Array) -> tuple[Array, Flags]:
         """Of rows (n, inputs) the answers that are stored, (m, outputs), and whether each row is,
         (n,).
         """
-        answers = list[bytes]()
+        answers = []
         stored = np.zeros(len(rows), bool)
         size = 8 * self._outputs
         query = "SELECT answer FROM answers WHERE key = ?"
@@ -88,7 +88,7 @@ class Cache:
                             continue
                         answers.append(answer)
                         stored[place] = True
-        return np.frombuffer(b"".join(answers), dtype="<f8").reshape(-1, self._outputs), stored
+        return np.frombuffer(b"".join(answers), "<f8").reshape(-1, self._outputs), stored
 
     def write(self, rows: Array, answers: Array) -> None:
         """Store answers (n, outputs) to rows (n, inputs)."""

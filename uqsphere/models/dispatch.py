@@ -44,14 +44,14 @@ def answer_rows(
     analysis = model.study.analysis
     answers = np.full((total, len(model.outputs)), np.nan)
     failures = dict[int, NoAnswer]()
-    died_once = set[int]()
+    died_once = set()
     together = np.arange(0)
     # two sizes, none between: the last digits of a model may depend on the rows of a call, and time
     # does not repeat
     size = LARGEST_CALL
     if model.calls <= 1 or model.is_slow:
         size = max(1, min(LARGEST_CALL, total // CALLS))
-    if analysis.time_limit is not None:
+    if analysis.time_limit:
         size = 1
     due = deque(np.split(np.arange(total), range(size, total, size)))
     running = dict[Future[Timed], Places]()
@@ -68,14 +68,14 @@ def answer_rows(
                 most = 2 * model.workers.count + 2
             while due and len(running) < most:
                 places = due.popleft()
-                if cache is not None:
+                if cache:
                     kept, stored = cache.read(rows[places])
                     answers[places[stored]] = kept
                     model.reused += len(kept)
                     places = places[~stored]
                 if len(places):
                     running[model.workers.submit(rows[places])] = places
-            if model.progress is not None:
+            if model.progress:
                 model.progress(model.runs - before, total)
             if not running:
                 return answers, failures, together
@@ -117,7 +117,7 @@ def answer_rows(
                         ) from failure
                     continue
                 model.add_call(seconds, len(places))
-                if cache is not None and model.is_slow:
+                if cache and model.is_slow:
                     cache.write(rows[places], block)
                 answers[places] = block
                 if len(places) > 1 and not together.size:

@@ -83,7 +83,7 @@ def evaluate(
         raise UsageError(
             f"study must be a Study, as load_study returns it, not {type(study).__name__}"
         )
-    if not isinstance(frame, (pd.DataFrame, Mapping)):
+    if not isinstance(frame, pd.DataFrame | Mapping):
         raise UsageError(
             f"frame must be a DataFrame or a dict of arrays by name, not {type(frame).__name__}"
         )
@@ -124,7 +124,8 @@ def evaluate(
     if not study.black_box:
         for check in checked_rows(study, names, rows[:_CHECKED], columns):
             if check.grade == _FAILURE:
-                text = f"outside the validity range of the model: {check.text}"
-                warnings.warn(text, stacklevel=2)
+                warnings.warn(
+                    f"outside the validity range of the model: {check.text}", stacklevel=2
+                )
     table = pd.DataFrame(answers.values, columns=columns, index=index_of(frame))
     return table.assign(censored=np.asarray(answers.censored.any(axis=1)))

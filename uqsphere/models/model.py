@@ -88,7 +88,7 @@ class Model:
                 "an executor takes the model runs of a black box; the impact model runs in this "
                 "process, on its threads"
             )
-        if self.executor is not None and study.analysis.time_limit is not None:
+        if self.executor is not None and study.analysis.time_limit:
             raise UsageError(
                 "analysis.time_limit needs local processes, which can be ended. Remove "
                 "analysis.time_limit or the executor"
@@ -111,7 +111,7 @@ class Model:
         self.workers = Workers(
             (box, self.inputs, self.outputs), self.executor, study.analysis.time_limit
         )
-        if self.cache_file is not None:
+        if self.cache_file:
             identity = identity_of(box)
             if identity:
                 self._cache = Cache(self.cache_file, identity, self.inputs, self.outputs)
@@ -121,7 +121,7 @@ class Model:
 
     def __exit__(self, *_: object) -> None:
         """End processes that were started here, and close the cache."""
-        if self._cache is not None:
+        if self._cache:
             self._cache.close()
         if self.study.black_box:
             self.workers.close()
@@ -188,7 +188,7 @@ class Model:
     def notes(self) -> list[str]:
         """What a user should know about the answers."""
         notes = [*self._notes]
-        if self._cache is not None and self._cache.damaged:
+        if self._cache and self._cache.damaged:
             notes.append(
                 f"damaged records in {as_text(self._cache.path.name)}: {self._cache.damaged} "
                 "stored answers did not match their checksums and were computed again"
@@ -229,7 +229,7 @@ class Model:
             began = time.perf_counter()
             parts.append(answer(block))
             self.add_call(time.perf_counter() - began, len(block))
-            if self.progress is not None:
+            if self.progress:
                 self.progress(start + len(block), len(rows))
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts])
@@ -259,13 +259,16 @@ class Model:
                 reason = f"{reason}, too large"
             note = f"{failures.get(k, reason)} {where_of(self.inputs, whole[k])}"
             values[failed] = np.nan
-        censored = np.zeros(values.shape, bool)
-        status = np.where(failed, FAILED, 0)
-        return EvaluatedRows(values=values, censored=censored, status=status, note=note)
+        return EvaluatedRows(
+            values=values,
+            censored=np.zeros(values.shape, bool),
+            status=np.where(failed, FAILED, 0),
+            note=note,
+        )
 
     def check_stop(self) -> None:
         """Raise Interrupted once `stop` is true."""
-        if self.stop is not None and self.stop():
+        if self.stop and self.stop():
             raise Interrupted
 
     def add_call(self, seconds: float, rows: int) -> None:
@@ -287,13 +290,13 @@ class Model:
         one of its own. Nothing may be running."""
         limit = self.study.analysis.time_limit
         count = int(not callable(self.model))
-        if limit is not None or self.seconds_per_row * rows >= _WORTH:
+        if limit or self.seconds_per_row * rows >= _WORTH:
             count = self._processes
         if self.workers.count < count:
             try:
                 self.workers.start(count)
             except UsageError:
-                if limit is not None:
+                if limit:
                     raise
                 self._processes = 0  # the function cannot be sent, and goes on where it is
 
@@ -306,5 +309,5 @@ def announce_compilation() -> None:
     from uqsphere.mechanics.integrator.compiled import cache_folder
 
     kept = cache_folder()
-    if kept is None or not any(kept.rglob("*.nbc")):
+    if not (kept and any(kept.rglob("*.nbc"))):
         tell("Compiling the integrator (first use only, about 30 s) …")

@@ -41,7 +41,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:
     columns = {
         name: np.broadcast_to(np.asarray(number, float), shape) for name, number in numbers.items()
     }
-    if study.record is not None:
+    if study.record:
         # f_in = -c0 eps: the amplitude of a measured pulse goes with the wave speed and the gain of
         # each row
         gain = columns.get("pulse.gain", 1.0)
@@ -71,11 +71,11 @@ def _library_onset(study: Study) -> dict[str, float]:
     """Onset and hardness that the library has of a sphere, for the check of a contact that is taken
     for elastic.
     """
-    given = {*study.fixed, *study.random, *study.options}
     names = ("onset_pressure", "hardness")
     material = library()["sphere"].get(study.materials.get("sphere", ""))
+    given = {*study.fixed, *study.random, *study.options}
     decided = given & {"sphere.onset_pressure", "contact.law"}
-    if decided or material is None or not material.properties.keys() >= {*names}:
+    if decided or not material or not material.properties.keys() >= {*names}:
         return {}
     return {f"sphere.{name}": material.properties[name].value for name in names}
 
@@ -139,11 +139,11 @@ def evaluate_scene(
         raise UsageError(str(error)) from error
     good = answered(answers.status)
     none = np.zeros(len(rows), bool)
-    values = np.stack([answers.values[name] for name in columns], axis=1)
+    values = np.column_stack([answers.values[name] for name in columns])
     failed = np.flatnonzero(~good)[:1]
     return EvaluatedRows(
         values=np.where(good[:, None], values, np.nan),
-        censored=np.stack([answers.censored.get(name, none) for name in columns], axis=1),
+        censored=np.column_stack([answers.censored.get(name, none) for name in columns]),
         status=np.where(good, 0, answers.status),
         note="".join(f"{STATUS[answers.status[k]]} {where_of(names, rows[k])}" for k in failed),
     )
@@ -164,7 +164,7 @@ def check_scene(study: Study) -> None:
     whose ends the scene at its means has no answer. Raises UsageError with the place in the study
     and the reason."""
     margins = study.margins
-    if margins is not None and margins.solve in INPUTS:
+    if margins and margins.solve in INPUTS:
         for value in margins.between:
             code = scene_of(study, {margins.solve: value}).status[0]
             if code:
@@ -194,7 +194,7 @@ def hardness_of(study: Study, names: Names, rows: Array) -> Array | None:
     one does not yield.
     """
     faces = [partner.face for partner in scene_at(study, names, rows).there]
-    hardness = [face.hardness for face in faces if face is not None]
+    hardness = [face.hardness for face in faces if face]
     if len(hardness) < len(faces):
         return None
     return np.asarray(np.maximum.reduce(hardness))
@@ -231,6 +231,6 @@ def fractures_of(
     return first_fractures(
         scene_at(study, names, rows),
         shares,
-        [path for path in paths if path is not None],
+        [path for path in paths if path],
         fidelity=fidelity,
     )

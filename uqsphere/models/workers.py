@@ -193,7 +193,7 @@ class _Process:
                 self._started = True
                 self._send(self.packed)
                 pickle.load(replies)  # the model is loaded, which its limit does not count
-            if limit is not None:
+            if limit:
                 timer.start()
             self._send(rows)
             reply: Timed = pickle.load(replies)
@@ -258,7 +258,7 @@ _kept = threading.local()
 def _process_of_thread(packed: bytes) -> _Process:
     """The process that calls a model for this thread: the one before if it can be called again."""
     process = getattr(_kept, "process", None)
-    if process is None or process.packed != packed or not process.is_alive:
+    if not process or process.packed != packed or not process.is_alive:
         process = _kept.process = _Process(packed)  # the one before is ended as it is forgotten
     return process
 
@@ -290,11 +290,13 @@ class Workers:
         if hasattr(executor, "get_executor"):
             # the same call twice is two evaluations, which Dask would not make
             self._executor, self._answer = executor.get_executor(pure=False), answer_apart
-        if executor is not None and not callable(getattr(self._executor, "submit", None)):
-            raise UsageError(f"executor must provide submit(); {type(executor).__name__} does not")
         self._processes = WeakSet[_Process]()
         self._lock = threading.Lock()
         if executor is not None:
+            if not callable(getattr(self._executor, "submit", None)):
+                raise UsageError(
+                    f"executor must provide submit(); {type(executor).__name__} does not"
+                )
             self._packed, self.count = pack(task), _MANY
 
     def start(self, count: int) -> None:
@@ -319,7 +321,7 @@ class Workers:
             except Exception as error:
                 raise _lost(error) from error
         elif self.count:
-            if self._threads is None:
+            if not self._threads:
                 self._threads = ThreadPoolExecutor(self.count)
             future = self._threads.submit(self._call, rows)
         else:
@@ -331,7 +333,7 @@ class Workers:
 
     def _call(self, rows: Array) -> Timed:
         with self._lock:
-            if self._threads is None:
+            if not self._threads:
                 raise NoAnswer("the run has ended")
             process = _process_of_thread(self._packed)
             self._processes.add(process)
@@ -343,7 +345,7 @@ class Workers:
             threads, self._threads = self._threads, None
             for process in self._processes:
                 process.kill()
-        if threads is not None:
+        if threads:
             threads.shutdown(wait=True, cancel_futures=True)
         for process in list(self._processes):
             process.close()

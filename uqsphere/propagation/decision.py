@@ -48,8 +48,8 @@ class Settled(Curves):
     @cached_property
     def safe_above(self) -> bool:
         """Whether larger values are safe: "use at least"."""
-        exceeded = sum(self.base(limit)[0].mean(axis=1) for limit in self.aim.limits)
-        return bool(exceeded[-1] >= exceeded[0]) != self.aim.survive
+        exceeded = [self.base(limit)[0].mean(axis=1) for limit in self.aim.limits]
+        return not self.unsafe_above(np.sum(exceeded, axis=0))
 
     @property
     def ends(self) -> tuple[float, float]:

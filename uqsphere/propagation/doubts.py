@@ -238,7 +238,7 @@ class Curves:
             if counted and self.aim.survive:
                 first = counted[0]
                 groups.append((first, group))
-                holds[first.name] = 1.0 - exceedance(self.line.state(first), self.aim.word)
+                holds[first.name] = 1.0 - exceedance(self.line.state(first), self.aim.survive)
         others = dict[str, Others]()
         for first, group in groups:
             beside = [limit for limit, _ in groups if limit is not first]
@@ -255,8 +255,11 @@ class Curves:
         factor = common_factor(design, [*beside, limit])
         if (factor == np.eye(len(factor))).all():
             return Others(none=hold)
-        states = [self.line.state(other) for other in beside]
-        union = make_union(states, factor[:-1, :-1], design.generator("tied strengths"))
+        union = make_union(
+            [self.line.state(other) for other in beside],
+            factor[:-1, :-1],
+            design.generator("tied strengths"),
+        )
         return Others(
             none=np.where(hold > 0.0, union.none, hold),  # rows without an answer stay as they are
             shift=np.einsum("l,lrn->rn", factor[-1, :-1], union.holding),
@@ -295,7 +298,7 @@ class Curves:
         """The mean exceedance (K,) of a limit with the other failure modes."""
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
-    def _unsafe_above(self, curve: Array) -> bool:
+    def unsafe_above(self, curve: Array) -> bool:
         """Whether larger values of the free number are the unsafe ones, by a curve (K,)."""
         return bool((curve[-1] >= curve[0]) == self.aim.survive)
 
@@ -314,7 +317,7 @@ class Curves:
         if not missed.size:
             return math.inf
         k = missed[-1] + 1
-        if self._unsafe_above(curve):
+        if self.unsafe_above(curve):
             k = missed[0]
         if k in (0, len(curve)):
             return None
@@ -335,7 +338,7 @@ class Curves:
             others = Others(none=others.none)
         means = []
         for strength in laws or [state.strength]:
-            alone = exceedance(replace(state, strength=strength), self.aim.word)
+            alone = exceedance(replace(state, strength=strength), self.aim.survive)
             means.append([self.line.means(rows) for rows in (alone, others.or_any(alone))])
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
@@ -363,7 +366,7 @@ class Curves:
         margins = [self.margin(limit, curve) for curve in folds.base(limit)[1].T]
         places = self.line.places
         safe, unsafe = places[0], places[-1]
-        if not self._unsafe_above(curves[1]):
+        if not self.unsafe_above(curves[1]):
             safe, unsafe = unsafe, safe
         missed_at = []
         for margin in margins:
@@ -408,7 +411,7 @@ class Curves:
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
         from_unsafe = slice(None)
-        if self._unsafe_above(means):
+        if self.unsafe_above(means):
             from_unsafe = slice(None, None, -1)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
 
@@ -416,7 +419,7 @@ class Curves:
         """The rows of each value that carry the failures of a limit, alone and with the other
         failure modes; infinite where none does.
         """
-        alone = exceedance(self.line.state(limit), self.aim.word)
+        alone = exceedance(self.line.state(limit), self.aim.survive)
         joint = self.others.get(limit.name, Others()).or_any(alone)
         carried_by = []
         for exceeded in (alone, joint):

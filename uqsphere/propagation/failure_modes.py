@@ -151,18 +151,17 @@ def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode
         return make_law("lognormal", {"mean": value, "cov": entry.cov})
 
     name = f"{mode.name} (assumed)"
-    limit = Limit(
-        name=name,
-        quantity=CRITERIA[mode.criterion].quantity or f"{mode.criterion}.{name}",
-        strength=strength(entry.value),
-        target=default_target(study.limits, study.margins, "survive"),
-        criterion=criterion,
-        parameters=parameters,
-    )
     weak, strong = map(strength, ends)
     return AssumedMode(
         declared=mode,
-        limit=limit,
+        limit=Limit(
+            name=name,
+            quantity=CRITERIA[mode.criterion].quantity or f"{mode.criterion}.{name}",
+            strength=strength(entry.value),
+            target=default_target(study.limits, study.margins, "survive"),
+            criterion=criterion,
+            parameters=parameters,
+        ),
         weak=weak,
         strong=strong,
         entry=entry,

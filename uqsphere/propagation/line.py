@@ -127,15 +127,14 @@ class Line:
         return PchipInterpolator(self.places, scores)
 
 
-def exceedance(state: LimitState, aim: str) -> Array:
+def exceedance(state: LimitState, survive: bool) -> Array:
     """Probability (R, N) of exceedance given the inputs; a row that is not known to the end counts
     for the unsafe side, and one that failed is nan, or counts so as well.
     """
-    unsafe = aim == "survive"
     lost = math.nan
     if state.on_failure == "bound":
-        lost = float(unsafe)
-    below = np.where(state.late & unsafe, 1.0, state.tails()[0])
+        lost = float(survive)
+    below = np.where(state.late & survive, 1.0, state.tails()[0])
     return np.where(state.broken, lost, below)
 
 

@@ -219,8 +219,8 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     from scipy.interpolate import RectBivariateSpline
 
     line = settled.line.few
-    word = settled.aim.word
-    exceeded_here = exceedance(line.state(limit), word)
+    survive = settled.aim.survive
+    exceeded_here = exceedance(line.state(limit), survive)
     stands = 1.0 - exceeded_here
     of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
     others = of_study.others.get(limit.name, Others())
@@ -233,7 +233,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
         rows = []
         for node in nodes:
             stronger = replace(state, strength=scaled_strength(mode.middle, math.exp(node)))
-            rows.append(line.means(exceedance(stronger, word) * stands).mean(axis=1))
+            rows.append(line.means(exceedance(stronger, survive) * stands).mean(axis=1))
         scores = score(np.array(rows))
         tables.append((RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1), nodes[-1]))
 

@@ -159,7 +159,7 @@ def free_number_of(design: Design) -> FreeNumber | None:
     if margins is None:
         return None
     low, high = margins.between
-    meaning = lookup(margins.solve).meaning.partition(":")[0]
+    meaning = lookup(margins.solve).called
     if margins.limit is not None:
         meaning = f"strength of {margins.limit}"
     return FreeNumber(
@@ -238,7 +238,7 @@ def _limit(limit: Limit, **origin: Any) -> LimitEntry:
     if tested is not None and tested.exponent:
         follows = "force"
         if not tested.forces:
-            follows = lookup(limit.quantity).meaning.partition(":")[0]
+            follows = lookup(limit.quantity).called
         size_law.append(f"{follows} at failure ~ diameter^{tested.exponent:.3g}")
     if "rate_0" in limit.parameters:
         size_law.append(f"doubled at a strain rate of {limit.parameters['rate_0']:.3g} 1/s")
@@ -313,7 +313,7 @@ def _strength_text(limit: Limit) -> str:
     if not isinstance(law, Law):
         return format_value(law, limit.quantity)
     mean = law.mean()
-    text = law.family.name.replace("_", " ").capitalize()
+    text = law.called.capitalize()
     text += f", mean {format_value(mean, limit.quantity)}"
     if law.family.name == "weibull" and "modulus" in law.parameters:
         text += f", modulus {law.parameters['modulus']:.3g}"
@@ -330,11 +330,8 @@ def _dependence(tie: Dependence) -> DependenceEntry:
 
 
 def _input(study: Study, name: str) -> InputEntry:
-    source = study.sources.get(name)
     law = study.laws().get(name)
-    reference, checked = "study", True
-    if source:
-        reference, checked = source.source, source.seen
+    source, checked = study.source_of(name)
     if law is None:
         mean = p05 = p95 = study.fixed[name]
         sd = 0.0
@@ -347,7 +344,7 @@ def _input(study: Study, name: str) -> InputEntry:
     return InputEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
-        source=reference,
+        source=source,
         source_checked=checked,
         mean=mean,
         sd=sd,
@@ -360,7 +357,7 @@ def _input(study: Study, name: str) -> InputEntry:
 
 def _distribution_text(law: Law, name: str) -> str:
     """The family with what mean and standard deviation leave open: shapes and bounds."""
-    parts = [law.family.name.replace("_", " ")]
+    parts = [law.called]
     for key in ("modulus", "shape", "dof"):
         if key in law.parameters:
             parts.append(f"{key} {law.parameters[key]:.3g}")

@@ -126,8 +126,9 @@ def pictures_of(results: Results) -> dict[str, Picture]:
             low, middle, high = quantile_texts(entry, name)
             text = f"Density: 5 % at {low}; 50 % at {middle}; 95 % at {high}"
             title = with_unit(title_of(name), display_unit(name, entry.range[1] or 1.0)[0])
-            edges = (7.0, 7.0, 4.0, 36.0)
-            figure = svg(draw_density, results, name, size=(370.0, 190.0), edges=edges)
+            figure = svg(
+                draw_density, results, name, size=(370.0, 190.0), edges=(7.0, 7.0, 4.0, 36.0)
+            )
             drawn[f"density-{number}"] = Picture(title, text, figure)
     columns = indices_of(results, [name for name, _ in quantities[:FIRST]])
     if columns:
@@ -136,8 +137,7 @@ def pictures_of(results: Results) -> dict[str, Picture]:
     if sizes.shape[1] > 1:
         runs, error = sizes[:, -1]
         text = f"Largest error over tolerance, {error:.2g} at {runs:,.0f} model runs"
-        edges = (63.0, 80.0, 8.0, 46.0)
-        figure = svg(draw_convergence, sizes, size=(420.0, 210.0), edges=edges)
+        figure = svg(draw_convergence, sizes, size=(420.0, 210.0), edges=(63.0, 80.0, 8.0, 46.0))
         drawn["convergence"] = Picture("Convergence", text, figure)
     for number, (name, entry) in enumerate(quantities[:FIRST], 1):
         if entry.held_out:
@@ -147,8 +147,9 @@ def pictures_of(results: Results) -> dict[str, Picture]:
                 f"{title} as predicted by polynomial chaos against model runs that it was not "
                 f"fitted to; {left} of the variance is not explained"
             )
-            edges = (56.0, 12.0, 8.0, 46.0)
-            figure = svg(draw_expansion, results, name, size=(260.0, 210.0), edges=edges)
+            figure = svg(
+                draw_expansion, results, name, size=(260.0, 210.0), edges=(56.0, 12.0, 8.0, 46.0)
+            )
             drawn[f"expansion-{number}"] = Picture(f"{title}: polynomial chaos", text, figure)
     return drawn
 

@@ -131,13 +131,13 @@ def change_text(before: Sequence[float], after: Sequence[float]) -> str:
 def meaning(name: str) -> str:
     """What a number is called by people.
 
-    >>> meaning("limits.crushing.strength")
-    'strength (crushing)'
+    >>> meaning("limits.crushing.strength"), meaning("contact_duration")
+    ('strength (crushing)', 'equivalent contact duration')
     """
     if name.startswith("limits."):
         limit, _, part = name.removeprefix("limits.").rpartition(".")
         return f"{part.replace('_', ' ')} ({limit.removesuffix(' (assumed)')})"
-    return short(lookup(name).meaning)
+    return lookup(name).called
 
 
 def with_unit(text: str, unit: str) -> str:
@@ -154,15 +154,6 @@ def source_text(source: str, checked: bool) -> str:
     if checked:
         return source
     return f"{source} (source not checked)"
-
-
-def short(text: str) -> str:
-    """What a quantity is called, without its definition.
-
-    >>> short("equivalent contact duration: impulse over peak")
-    'equivalent contact duration'
-    """
-    return text.partition(":")[0]
 
 
 def title_of(name: str) -> str:

@@ -85,10 +85,15 @@ def history(
     fidelity = study.model.fidelity
     if fidelity not in ("massless", "linear"):
         fidelity = "full"
-    tolerance = min(study.model.tolerance, 1e-8)
     announce_compilation()
     try:
-        course = trace(scene, 0, fidelity=fidelity, tolerance=tolerance, points=points)
+        course = trace(
+            scene,
+            0,
+            fidelity=fidelity,
+            tolerance=min(study.model.tolerance, 1e-8),
+            points=points,
+        )
         motion = course.motion
         if RIGS[study.rig].by_wave:
             places = [(gauge.bar, gauge.position) for gauge in study.gauges]

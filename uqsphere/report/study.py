@@ -55,27 +55,17 @@ def _tables(study: Study) -> Iterator[PageTable]:
     """Inputs, and strengths where there are limits."""
     rows = list[tuple[str, ...]]()
     for name, number in study.fixed.items():
-        rows.append((name, format_value(number, name), DASH, DASH, "fixed", _source(study, name)))
+        source = source_text(*study.source_of(name))
+        rows.append((name, format_value(number, name), DASH, DASH, "fixed", source))
     for name, law in study.random.items():
         numbers = (value(law.mean(), name, 4), value(law.sd(), name), _range(law, name))
-        rows.append((name, *numbers, _family(law), _source(study, name)))
+        rows.append((name, *numbers, law.called, source_text(*study.source_of(name))))
     head = ("input", "mean", "sd", "5-95 % range", "distribution", "source")
     yield PageTable("Inputs", head, rows)
     if study.limits:
         head = ("strength", "tests", "range of the tests", "distribution", "mean", "5-95 % range")
         rows = [_strength(limit) for limit in study.limits]
         yield PageTable("Strengths", (*head, "demand"), rows)
-
-
-def _family(law: Law) -> str:
-    return law.family.name.replace("_", " ")
-
-
-def _source(study: Study, name: str) -> str:
-    source = study.sources.get(name)
-    if source is None:
-        return "study"
-    return source_text(source.source, source.seen)
 
 
 def _range(law: Law, name: str) -> str:
@@ -109,7 +99,7 @@ def _tested(limit: Limit, law: Law) -> str:
 
 def _shape(law: Law) -> str:
     """Family and shape of a strength, with the shape's interval where it was fitted."""
-    text = _family(law)
+    text = law.called
     for key, word in (("modulus", "modulus"), ("log_sd", "sd of the logarithm")):
         if key in law.parameters:
             text += f", {word} {law.parameters[key]:.3g}"

@@ -25,7 +25,7 @@ from uqsphere.results.types import Decision, Results
 from uqsphere.study import Study
 
 from .figures import COLOURS, Picture, svg
-from .format import capital, plain_name, plain_probability, short, with_unit
+from .format import capital, plain_name, plain_probability, with_unit
 from .page import render
 from .sentences import DecisionText, chart_title, exceedance_name, joint_event
 from .tables import PageTable, columns
@@ -69,7 +69,7 @@ class Sweep:
     @property
     def meanings(self) -> list[str]:
         """What the keys set, in words."""
-        return [short(lookup(path_of(key)).meaning) for key in self.keys]
+        return [lookup(path_of(key)).called for key in self.keys]
 
 
 def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]], Study]) -> Sweep:

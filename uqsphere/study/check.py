@@ -124,7 +124,7 @@ def tables(draft: Draft) -> Faults:
             if table == "inputs":
                 quantity = plain_quantity(key)
             # a flat face has no radius
-            if quantity is None or (key == "face_radius" and raw == "flat"):
+            if not quantity or (key == "face_radius" and raw == "flat"):
                 continue
             try:
                 with draft.within(table, key):
@@ -224,14 +224,14 @@ def _library(draft: Draft) -> Faults:
             if path and path not in numbers and (table == "sphere" or key not in LAW):
                 numbers[path], sources[path] = Number(value=entry.value), entry
         E = properties.get("E")
-        if E is not None and E.value < 1e8:
+        if E and E.value < 1e8:
             draft.warn(f"{name} is not an elastic solid: {E.note}", table, "material")
     law = document.contact.law
     model = document.model
     # of an insert, a counter-body, the sphere or the contact itself
     known = any(name.endswith(("onset_pressure", "yield_strength")) for name in numbers)
     follows = model.fidelity == "full" and not model.compare_with_paper
-    if law == "plastic" or (law is None and known and follows):
+    if law == "plastic" or (not law and known and follows):
         draft.options["contact.law"] = "plastic"
     else:
         for path in sources.keys() & {f"sphere.{key}" for key in LAW}:
@@ -250,7 +250,7 @@ def _words(draft: Draft) -> Faults:
     shape = pulse.shape
     for table in {"target", "anvil"} & draft.data.keys():
         options[f"{table}.kind"] = getattr(document, table).kind
-    if document.hammer.shape is not None:
+    if document.hammer.shape:
         options["hammer.shape"] = "ball"
     usual = {
         f"{table}.end": 1.0 for table in ("target", "anvil", "rod") if f"{table}.length" in numbers
@@ -258,7 +258,7 @@ def _words(draft: Draft) -> Faults:
     if draft.rig.by_wave:
         usual["bars.incident_end"] = END_COEFFICIENTS["free"]
         usual["bars.receiving_end"] = END_COEFFICIENTS["absorbing"]
-        if pulse.preset is not None:
+        if pulse.preset:
             shape, values = PRESETS[pulse.preset]
             usual |= {f"pulse.{key}": value for key, value in values.items()}
             if "shape" in pulse.model_fields_set and pulse.shape != shape:
@@ -374,7 +374,7 @@ def _scene(draft: Draft) -> Faults:
     options = draft.options
     model = draft.document.model
     shape = options.get("pulse.shape")
-    if shape == "step" and model.horizon is None:
+    if shape == "step" and not model.horizon:
         yield Fault(
             "a step pulse never ends. End the evaluation window in [model], for example horizon = "
             '"3 ms"',
@@ -395,10 +395,10 @@ def _scene(draft: Draft) -> Faults:
         faces = {
             "sphere" if partner.takes[0] else partner.table: partner.face
             for partner in scene.there
-            if partner.face is not None
+            if partner.face
         }
         valid = faces and all(face.valid[0] for face in faces.values())
-        if draft.plastic and draft.document.contact.law is None and not valid:
+        if draft.plastic and not (draft.document.contact.law or valid):
             # nobody asked for yield, and the library's numbers make no law of it: elastic contacts
             del options["contact.law"]
             scene = scene_with(columns, options, model, record=draft.record)
@@ -557,7 +557,7 @@ def _joined(random: Mapping[str, Law], ties: Sequence[Dependence], index: int) -
 def _margins(draft: Draft) -> Faults:
     """The free number, and that it can be moved from one end to the other."""
     table = draft.document.margins
-    if table is None:
+    if not table:
         return
     if not draft.limits:
         yield Fault("[margins] requires a limit. Add a table [limits.NAME]", "margins")
@@ -571,9 +571,9 @@ def _margins(draft: Draft) -> Faults:
             "margins.solve",
         )
     free = draft.limits.get(table.limit or "")
-    quantity = solve if free is None else free.quantity
+    quantity = free.quantity if free else solve
     entry = plain_quantity(quantity) if draft.box else lookup(quantity)
-    if free is not None:
+    if free:
         entry = replace(entry, lower=0.0, meaning="the mean strength")
     ends = []
     for index, raw in enumerate(table.between):
@@ -586,7 +586,7 @@ def _margins(draft: Draft) -> Faults:
         )
     for limit in draft.limits.values():
         tested = limit.tested
-        if solve == "sphere.radius" and tested is not None:
+        if solve == "sphere.radius" and tested:
             with draft.within("margins"):
                 compare_sizes(limit, tested, (0.5 * tested.diameter, *ends), draft, "between")
     draft.margins = table.model_copy(
@@ -597,7 +597,7 @@ def _margins(draft: Draft) -> Faults:
         }
     )
     law = draft.numbers[solve].value
-    if not isinstance(law, Law) or free is not None:
+    if not isinstance(law, Law) or free:
         return
     for index, value in enumerate(ends):
         try:

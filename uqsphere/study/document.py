@@ -244,7 +244,7 @@ class LimitTable(TomlTable):
                 'exactly one of quantity and criterion is required, for example quantity = "p_max"',
                 "quantity",
             )
-        if self.energy_is is not None and self.criterion != "specific_energy":
+        if self.energy_is and self.criterion != "specific_energy":
             raise Fault(
                 "energy_is is used only with the criterion specific_energy. Remove it", "energy_is"
             )

@@ -81,7 +81,7 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
     """One limit: demand, strength and model factor; raises Fault."""
     limit = _demand(draft, name, table)
     of_fracture = sorted(key for key, entry in OUTPUTS.items() if entry.fracture)
-    if table.fracture and table.criterion is None and limit.quantity not in of_fracture:
+    if table.fracture and not table.criterion and limit.quantity not in of_fracture:
         raise Fault(
             f"{limit.quantity} is not a fracture quantity; fracture = true needs a criterion or "
             f"one of {one_of(of_fracture)}",
@@ -93,25 +93,24 @@ def read_limit(draft: Draft, name: str, table: LimitTable) -> None:
         strength = _strength(draft, table, limit)
     if limit.needs_modulus:
         fitted = modulus_of(strength.value)
-        modulus = limit.parameters.get("modulus")
+        modulus = limit.parameters.get("modulus", fitted)
+        if modulus is None:
+            raise Fault(
+                "modulus is missing. Add it, or use a strength with a Weibull distribution",
+                "modulus",
+            )
         if fitted is None:
-            if modulus is None:
-                raise Fault(
-                    "modulus is missing. Add it, or use a strength with a Weibull distribution",
-                    "modulus",
-                )
             draft.warn(
                 "a weakest-link strength has a Weibull distribution with the modulus of the "
                 "limit; with another distribution P_f does not follow from the flaws"
             )
-        else:
-            if modulus is not None and abs(fitted - modulus) > 1e-9 * modulus:
-                raise Fault(
-                    f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
-                    "modulus",
-                    "modulus",
-                )
-            limit = replace(limit, parameters={"modulus": fitted, **limit.parameters})
+        elif abs(fitted - modulus) > 1e-9 * modulus:
+            raise Fault(
+                f"modulus must be that of the strength, {fitted:g}, not {modulus:g}. Remove "
+                "modulus",
+                "modulus",
+            )
+        limit = replace(limit, parameters={"modulus": modulus, **limit.parameters})
     draft.numbers |= {f"limits.{name}.strength": strength, f"limits.{name}.model_factor": factor}
     draft.limits[name] = replace(
         limit, strength=strength.value, model_factor=factor.value, tested=strength.tested
@@ -124,13 +123,13 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     criterion = table.criterion
     if quantity is not None and quantity not in draft.quantities:
         raise Fault(unknown("quantity", quantity, draft.quantities), "quantity")
-    if criterion is not None and draft.box:
+    if criterion and draft.box:
         raise Fault(
             "a criterion needs the impact model. Set quantity to an output of the black box",
             "criterion",
         )
     if criterion == "specific_energy":
-        if table.energy_is is None and not draft.rig.by_wave:
+        if not (table.energy_is or draft.rig.by_wave):
             raise Fault(
                 "energy_is is missing. Set it to the energy that the strength is based on: "
                 f"{one_of(map(shown, _ENERGIES))}",
@@ -138,7 +137,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
             )
         criterion = _ENERGIES[table.energy_is or "contact"]
     parameters = {part: value for part, value in table if part in PARAMETERS and value is not None}
-    if criterion is None:
+    if not criterion:
         for part in parameters:
             raise Fault(
                 f"{part} is used only with a criterion (uqsphere list criteria). Add criterion = …",
@@ -194,8 +193,8 @@ def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
         )
     if not (draft.plastic and pressure):
         return meant == "hertz"
-    if meant is None:
-        if draft.document.contact.law is not None:
+    if not meant:
+        if draft.document.contact.law:
             raise Fault(_PRESSURES, "strength_is")
         return compared == "p_max"  # as nearly all tabulated contact strengths are
     if meant == "pressure" and is_tests(table.strength):
@@ -225,8 +224,7 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit) -> Number:
         entry, meaning=f"the strength against {limit.quantity}", closed=False, plausible=usual
     )
     if is_tests(table.strength):
-        tests = declared(Observations, {"fit": "weibull", **table.strength})
-        number = _tested(draft, tests, limit)
+        number = _tested(draft, declared(Observations, {"fit": "weibull", **table.strength}), limit)
         warn_unusual(number.mean, entry, draft)
         return number
     number = number_of(table.strength, entry, draft)
@@ -242,7 +240,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     Fault.
     """
     demand = limit.criterion or limit.quantity
-    if limit.criterion is None and not lookup(demand).follows:
+    if not (limit.criterion or lookup(demand).follows):
         raise Fault(
             f"forces at failure do not determine {demand}. Use a criterion (uqsphere list "
             "criteria)",
@@ -354,7 +352,7 @@ def compare_sizes(
     Raises Fault if no size law, of the tests or of the criterion itself, scales them to one of the
     radii.
     """
-    if tested is None:
+    if not tested:
         return
     linked = limit.needs_modulus or (modulus_of(tested.law) and tested.exponent)
     ratios = [
@@ -368,7 +366,7 @@ def compare_sizes(
     )
     if refused:
         way = 'set fit = "weibull"'
-        if tested.law is None:
+        if not tested.law:
             way = "fit again with strength_at of this size"
         elif not _POWERS.get(limit.criterion or limit.quantity, 2.0):
             way = "hold the tests against a pressure or tension: a force has no size law"
@@ -380,17 +378,13 @@ def compare_sizes(
         scaling = "not scaled"
         if linked:
             scaling = "scaled by the weakest link"
-        elif tested.law is None and tested.exponent:
+        elif tested.exponent and not tested.law:
             scaling = "scaled by its size_exponent"
         draft.warn(f"{sizes}: the strength is {scaling}", key)
 
 
 def _warn_of_slips(
-    table: Observations,
-    cells: Table,
-    rows: Places,
-    columns: Mapping[str, Array],
-    draft: Draft,
+    table: Observations, cells: Table, rows: Places, columns: Mapping[str, Array], draft: Draft
 ) -> Array:
     """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
 
@@ -420,7 +414,7 @@ def _warn_of_slips(
     far = np.abs(np.log(diameter / across)) > math.log(3.0)
     slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
     key = "force"
-    likely = list[str]()
+    likely = []
     if slips.any():
         first = np.argmax(slips)
         ratios = {
@@ -493,9 +487,13 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     """The sphere of the tests at its means, as `uqsphere.mechanics.crushing` takes it."""
     assert draft.scene is not None
     E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
-    # the counter-bodies of the study's rig store energy in the contacts too
-    compliance = 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E
-    sphere = {"E": E, "nu": nu, "density": density, "partner": compliance}
+    sphere = {
+        "E": E,
+        "nu": nu,
+        "density": density,
+        # the counter-bodies of the study's rig store energy in the contacts too
+        "partner": 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E,
+    }
     # the platens may be the partner in the rig; then the same body yields, else the sphere
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0
@@ -504,10 +502,10 @@ def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
         if np.isclose(partner.modulus[0], modulus, rtol=1e-9):
             face = partner.face
             takes = float(partner.takes[0])
-    if draft.plastic and face is not None:
+    if draft.plastic and face:
         law = parameters_of(face)
         if np.isfinite([*law.values()]).all():
-            return {**sphere, **law, "takes": takes}
+            return sphere | law | {"takes": takes}
     return sphere
 
 

@@ -60,7 +60,7 @@ def load_study(
     >>> load_study({"title": "Two tables", "inputs": inputs, "outputs": {"names": ["y"]}})
     <Study 'Two tables': 1 random input, black box>
     """
-    tables: object = None
+    tables = None
     name = ""
     if isinstance(path, Mapping):
         tables = path

@@ -6,7 +6,6 @@ verdict is established by it.
 import math
 import re
 from collections.abc import Sequence
-from typing import TypeAlias
 
 from uqsphere.arrays import frozen
 from uqsphere.materials import PROPERTIES, Material, library
@@ -18,7 +17,7 @@ from uqsphere.uq.fitting import is_fitted, modulus_of
 from .study import Draft, Limit
 
 #: the library's range of a property, and of which solids
-Range: TypeAlias = tuple[float, float, str]
+Range = tuple[float, float, str]
 #: a factor off the library's range that is told
 _FAR = 3.0
 #: numbers that are alike in all samples of a material, and a factor off its range that is told
@@ -56,7 +55,6 @@ def warn_of_slips(draft: Draft) -> None:
         with draft.within("limits", limit.name, "strength"):
             _warn_of_partners(draft, limit)
             if not is_fitted(limit.strength):
-                _warn_of_modulus(draft, limit)
                 _warn_of_strength(draft, limit, likes["sphere"])
 
 
@@ -74,7 +72,7 @@ class Like:
         ends = []
         for material in self.materials:
             entry = material.properties.get(key)
-            if entry is not None:
+            if entry:
                 size = entry.further.get("size", 0.0)
                 factor = 1.0 + (size / diameter) ** entry.further.get("exponent", 1.0)
                 ends += [factor * end for end in entry.range or (entry.value, entry.value)]
@@ -126,21 +124,20 @@ def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str 
         draft.warn(f"{text} is unusual for {solids} (library: {span})")
 
 
-def _warn_of_modulus(draft: Draft, limit: Limit) -> None:
+def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
+    """Warn of a strength, not of tests, of a modulus that is unusual, or more than a factor off the
+    library's for the same mode.
+    """
     modulus = modulus_of(limit.strength)
-    if modulus is not None and not _MODULI[0] <= modulus <= _MODULI[1]:
+    if modulus and not _MODULI[0] <= modulus <= _MODULI[1]:
         draft.warn(
             f"a Weibull modulus of {modulus:.3g} is unusual (usual: {_MODULI[0]:g} to "
             f"{_MODULI[1]:g}). Are two numbers swapped?",
             holds="plausibility",
         )
-
-
-def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
-    """Warn of a strength, not of tests, more than a factor off the library's for the same mode."""
     entry = lookup(limit.quantity)
     mode = FAILURE_MODES.get(failure_place(entry))
-    if mode is None or entry.dimension != PROPERTIES[mode.strength]:
+    if not mode or entry.dimension != PROPERTIES[mode.strength]:
         return
     diameter = math.inf
     if mode.size_law == "particle":
@@ -155,14 +152,14 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
     """Warn where the contact of the tests is of another stiffness than that of the rig."""
     tested = limit.tested
-    if tested is None or not tested.forces or limit.quantity == "P_max":
+    if not (tested and tested.forces) or limit.quantity == "P_max":
         return
     tests = reduced_modulus(draft.mean("sphere.E"), draft.mean("sphere.nu"), *tested.platens)
     rig = draft.contact_modulus
     if abs(tests / rig - 1.0) > _STIFFER:
-        text = (
+        draft.warn(
             f"E* is {format_value(tests, 'sphere.E', 3)} in the tests but "
             f"{format_value(rig, 'sphere.E', 3)} in the rig, so equal values of {limit.quantity} "
-            'mean different forces. quantity = "P_max" limits the force itself'
+            'mean different forces. quantity = "P_max" limits the force itself',
+            "platens",
         )
-        draft.warn(text, "platens")

@@ -62,7 +62,7 @@ class Limit:
     @property
     def demand(self) -> Demand:
         """What is held against the strength: a quantity, or a criterion with its parameters."""
-        if self.criterion is None:
+        if not self.criterion:
             return self.quantity
         return self.criterion, self.parameters
 
@@ -221,7 +221,7 @@ class Study:
         """The margins whose free number moves the rows of the model; None without, and where it is
         a strength.
         """
-        if self.margins is None or self.margins.limit is not None:
+        if not self.margins or self.margins.limit:
             return None
         return self.margins
 
@@ -256,9 +256,7 @@ class Study:
         ['x']
         """
         before, after = (_keys(study.meaning()) for study in (self, other))
-        changed = [
-            key for key in {**before, **after} if before.get(key, ...) != after.get(key, ...)
-        ]
+        changed = [key for key in before | after if before.get(key, ...) != after.get(key, ...)]
         # the order of the variables follows from the variables
         return [key for key in changed if key != "order"] or changed
 
@@ -268,7 +266,7 @@ class Study:
         return {
             limit.quantity: (limit.criterion, limit.parameters)
             for limit in self.limits
-            if limit.criterion is not None
+            if limit.criterion
         }
 
     def laws(self) -> dict[str, Law]:
@@ -289,6 +287,15 @@ class Study:
         """
         return make_joint(self.laws(), self.dependence)
 
+    def source_of(self, name: str) -> tuple[str, bool]:
+        """Where a number comes from, and whether it was read there; the study itself if it says
+        nothing else.
+        """
+        source = self.sources.get(name)
+        if source is None:
+            return "study", True
+        return source.source, source.seen
+
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean;
         SI.
@@ -299,7 +306,7 @@ class Study:
         """The meaning of the study as plain JSON values: SI, every default explicit, no infinities;
         without title, gauges and what is read from the file as it stands.
         """
-        content: dict[str, Json] = plain(self)
+        content = plain(self)
         for key in ("title", "gauges", "path", "text", "warnings", "caveats", "overrides", "files"):
             del content[key]
         # the order of the random variables decides which point of a sequence goes to which of them
@@ -359,7 +366,7 @@ def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -
     `DEFAULT_TARGET`.
     """
     targets = [limit.target for limit in limits if limit.has_target and limit.aim == aim]
-    if not targets and margins is not None:
+    if not targets and margins:
         # a sphere that must break fails where its strength is not exceeded
         targets = [1.0 - p if aim == "break" else p for p in margins.for_probability]
     return min(targets, default=DEFAULT_TARGET)
@@ -410,6 +417,9 @@ class Draft:
     """
 
     document: Words
+    record: MeasuredPulse | None = None
+    scene: Scene | None = None
+    margins: Margins | None = None
 
     def __init__(self, folder: Path, data: dict[str, Any], box: bool) -> None:
         self.folder, self.data, self.box = folder, data, box
@@ -422,9 +432,6 @@ class Draft:
         self.dependence = list[Dependence]()
         self.warnings = dict[tuple[str, str], str]()
         self.files = dict[str, Path]()
-        self.record: MeasuredPulse | None = None
-        self.scene: Scene | None = None
-        self.margins: Margins | None = None
 
     @property
     def rig(self) -> Rig:
@@ -445,7 +452,7 @@ class Draft:
         """The gauges by their places in the study, that of a rod first."""
         gauges = {f"gauges[{k}]": gauge for k, gauge in enumerate(self.document.gauges)}
         rod = self.document.rod.gauge
-        if rod is None:
+        if not rod:
             return gauges
         return {"rod.gauge": Gauge.model_construct(bar="rod", position=rod), **gauges}
 

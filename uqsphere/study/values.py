@@ -76,11 +76,11 @@ class Tested:
 
     diameter: float
     forces: tuple[float, ...] = ()
-    diameters: tuple[float, ...] = ()
+    diameters: tuple[float, ...]
     platens: tuple[float, float] = (math.inf, 0.3)
     sphere: Mapping[str, float] = field(default_factory=dict)
     law: Law | None = None
-    exponent: float = 2.0
+    exponent: float
 
     def beyond(self, diameter: float) -> float:
         """Ratio, at least 1, of a diameter [m] to the nearest size that was tested."""
@@ -164,7 +164,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
             f" (known: {one_of(FAMILIES)}){suggestion(next(iter(raw), ''), ['dist'])}"
         )
     family = family_named(str(kind))
-    if family is None:
+    if not family:
         near = suggestion(WORDS["synonyms"].get(str(kind), ""), FAMILIES)
         raise Fault(f"{unknown('distribution', kind, FAMILIES)}{near}", "dist")
     keys = (*family.keys, "lower", "upper")
@@ -439,8 +439,7 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
         for end in (table.lower, table.upper)
     ]
     warn_of_rows(table, cells, rows, columns["column"], stopped, draft)
-    law = fit(columns["column"], stopped, table, bounds)
-    return Number(value=law, synthetic=table.synthetic)
+    return Number(value=fit(columns["column"], stopped, table, bounds), synthetic=table.synthetic)
 
 
 #: distributions of draws: whether each is a Weibull distribution
@@ -488,9 +487,11 @@ def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
             exponent=float(columns["size_exponent"].mean()),
             diameters=sizes if 0.0 < sizes[0] <= sizes[1] else (),
         )
-    law = law_of_draws(draws.tolist(), int(first["tests"]))
-    synthetic = table.synthetic or first["synthetic"] > 0.0
-    return Number(value=law, synthetic=synthetic, tested=tested)
+    return Number(
+        value=law_of_draws(draws.tolist(), int(first["tests"])),
+        synthetic=table.synthetic or first["synthetic"] > 0.0,
+        tested=tested,
+    )
 
 
 def observations(
@@ -515,7 +516,7 @@ def observations(
                     columns[key] = np.full(len(cells), value_of(name, INPUTS["bars.diameter"]))
             elif name is not None:
                 columns[key] = cells.numbers(name, dimension, unit, key=key)
-        stopped = np.zeros(len(cells), dtype=bool)
+        stopped = np.zeros(len(cells), bool)
         many = np.ones(len(cells))
         if table.censored is not None:
             stopped = cells.flags(table.censored, "censored", "0 or 1 (1: stopped)")
@@ -541,7 +542,7 @@ def fit(
     have the modulus.
     """
     modulus = table.modulus
-    if modulus is None and (len(data) < 2 or stopped.all()):
+    if not modulus and (len(data) < 2 or stopped.all()):
         reason = f"all {len(data)} tests are right-censored"
         if len(data) < 2:
             reason = f"the file has {len(data)} observation"
@@ -553,7 +554,7 @@ def fit(
     with _blamed("fit", "lower", "upper", otherwise="file"):
         failures = data[~stopped].tolist()
         censored = data[stopped].tolist()
-        if modulus is not None:
+        if modulus:
             modulus /= slope
             return law_of_known_modulus(failures, table.fit, censored=censored, modulus=modulus)
         return fitted_law(failures, table.fit, *bounds, censored=censored, unbiased=table.unbiased)
@@ -584,7 +585,7 @@ def warn_of_rows(
                     f"{cells.name}: neither a Weibull nor a lognormal distribution fits (p = "
                     f"{p:.2g}). Are rows mixed or faulty?"
                 )
-            if table.modulus is not None:
+            if table.modulus:
                 low, high = tests.fit(draws=1000).shape_interval
                 if not low <= table.modulus <= high:
                     draft.warn(
@@ -626,12 +627,12 @@ def pulse_of(table: "PulseTable", draft: "Draft") -> MeasuredPulse:
         cells.refuse(
             "", "the time must increase from row to row", np.diff(time, prepend=-np.inf) <= 0.0
         )
-    if volts and table.factor is None:
+    if volts and not table.factor:
         raise Fault(
             "factor, the strain of one volt, is missing. Add it, for example factor = 1e-3",
             "factor",
         )
-    if not volts and table.factor is not None:
+    if not volts and table.factor:
         raise Fault(
             "factor is used only with a column of volts; this one is a strain. Remove factor",
             "factor",

@@ -116,6 +116,11 @@ class Law:
         return len(self.data) + len(self.censored)
 
     @property
+    def called(self) -> str:
+        """The name of its family in words."""
+        return self.family.name.replace("_", " ")
+
+    @property
     def ends(self) -> list[float]:
         """Those of the bounds that are finite."""
         return [end for end in (self.lower, self.upper) if math.isfinite(end)]

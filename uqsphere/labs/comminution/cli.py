@@ -41,7 +41,7 @@ def _run(chosen: argparse.Namespace) -> None:
     posterior, fitted = fit(load_tests(asked, folder), asked)
     low, high = posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
-    content: dict[str, Any] = {**fitted, "strength_at": at}
+    content = {**fitted, "strength_at": at}
     files = {
         "draws.csv": posterior.strength_csv(at, synthetic=asked.tests.synthetic),
         "fit.json": _json(content),
@@ -69,7 +69,7 @@ def _run(chosen: argparse.Namespace) -> None:
         head = ["upper [m]", "size [m]", "mass", "broken", "low", "high"]
         files["classes.csv"] = csv_text(rows, head)
         if answer["product"]:
-            rows = [(*row.values(),) for row in answer["product"]]
+            rows = [row.values() for row in answer["product"]]
             head = ["sieve [m]", "feed", "passing", "low", "high"]
             files["product.csv"] = csv_text(rows, head)
     for warning in dict.fromkeys(warnings):
@@ -106,7 +106,7 @@ def _fit_text(content: dict[str, Any]) -> str:
     names = [("parameter", "value", LEVEL_TEXT, "sd of the logarithm: prior, posterior")]
     for name, parameter in content["parameters"].items():
         prior = "flat"
-        if parameter["prior_sd"] is not None:
+        if parameter["prior_sd"]:
             prior = f"{parameter['prior_sd']:.2g}"
         names.append((name, *_interval(parameter), f"{prior}, {parameter['sd']:.2g}"))
     use = (

@@ -1,7 +1,5 @@
 """The input file of the lab: material, tests of particles, feed, product."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -111,7 +109,7 @@ class TestsTable(Section):
         return _one_of(self, "specific_energy", "energy", "speed", "force")
 
     @model_validator(mode="after")
-    def _one_of_each(self) -> TestsTable:
+    def _one_of_each(self) -> "TestsTable":
         measured = self.measured
         if not (self.diameter or (self.mesh_lower and self.mesh_upper)):
             raise ValueError("diameter, or mesh_lower and mesh_upper, is required")
@@ -122,7 +120,7 @@ class TestsTable(Section):
                 "a force needs the stiffness of each particle (stiffness = COLUMN), or "
                 "assume_intact = true"
             )
-        if measured in ("specific_energy", "energy") and self.energy_is is None:
+        if measured in ("specific_energy", "energy") and not self.energy_is:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
         if isinstance(self.gamma, float) and not 0.5 < self.gamma < 50.0:
             raise ValueError(
@@ -151,7 +149,7 @@ class SizesTable(Section):
     passing: str = ""
 
     @model_validator(mode="after")
-    def _complete(self) -> SizesTable:
+    def _complete(self) -> "SizesTable":
         needs = {
             "rosin_rammler": ("d63", "n", "top"),
             "gaudin_schuhmann": ("n", "top"),
@@ -188,7 +186,7 @@ class FeedTable(Section):
     fines: Length | None = None
 
     @model_validator(mode="after")
-    def _one_energy(self) -> FeedTable:
+    def _one_energy(self) -> "FeedTable":
         _one_of(self, "specific_energy", "energy", "speed")
         return self
 

@@ -43,7 +43,7 @@ def particle_energies(
     notes = []
     if want.mass:
         mass = table.numbers(want.mass, "mass", want.mass_unit, key="mass")
-    elif material.density is not None:
+    elif material.density:
         mass = laws.mass_of(diameter, material.density)
     else:
         raise UsageError("material.density is required, or a column tests.mass")
@@ -71,7 +71,7 @@ def particle_energies(
         energy = laws.energy_of_force(energy, diameter, modulus, mass)
     if meaning == "sphere":
         return energy, notes
-    if want.partner is None:
+    if not want.partner:
         whole = "stored in the contacts" if meaning == "contact" else "offered"
         notes.append(
             f"without tests.partner the particle is credited with the whole energy {whole}; a "
@@ -106,27 +106,27 @@ def offered_shares(
 
     particle = asked.material
     elastic = np.full(len(energy), laws.particle_share(stiffness(particle), stiffness(partner)))
-    if particle.density is None or partner.density is None:
+    if not (particle.density and partner.density):
         return elastic, []
     sphere = _table(particle, "sphere")
     other = _table(partner, "plates", "bars")
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
-    tables: dict[str, Any] = {"sphere": sphere}
-    if asked.contact_law is not None:
+    tables = {"sphere": sphere}
+    if asked.contact_law:
         tables["contact"] = {"law": asked.contact_law}
     rows = {"sphere.radius": 0.5 * diameter}
     if falling:
         mass = laws.mass_of(diameter, particle.density)
         weight = _HEAVY * float(mass.max())
         hammer = {"mass": f"{weight!r} kg", "drop_height": "1 m", "face_radius": "flat"}
-        tables |= {"rig": {"kind": "drop_weight"}, "hammer": {**hammer, **other}}
+        tables |= {"rig": {"kind": "drop_weight"}, "hammer": hammer | other}
         tables["anvil"] = {"kind": "thick", **other}
         rows["hammer.drop_height"] = energy * mass / (weight * _GRAVITY)
     else:
         tables["rig"] = {"kind": "impact", "speed": "1 m/s"}
         tables["target"] = {"kind": "thick", **other}
         rows["rig.speed"] = np.sqrt(2.0 * energy)
-    quantities = ("specific_energy_sphere", "specific_impact_energy")
+    quantities = ["specific_energy_sphere", "specific_impact_energy"]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -134,7 +134,7 @@ def offered_shares(
         except UqsphereError as error:
             return elastic, [f"the shares of the energy are those of elastic contacts: {error}"]
     notes = [*dict.fromkeys(f"share of the energy: {warning.message}" for warning in caught)]
-    taken, whole = (answers[name].to_numpy(dtype=float) for name in quantities)
+    taken, whole = answers[quantities].to_numpy(float).T
     share = taken / whole
     return np.where(np.isfinite(share), share, elastic), notes
 
@@ -142,7 +142,7 @@ def offered_shares(
 def _table(body: Elastic, *kinds: str) -> dict[str, Any]:
     """A body as a table of a study: its material where the library has it there, and its
     numbers."""
-    table: dict[str, Any] = {
+    table = {
         "E": f"{body.E!r} Pa",
         "nu": body.nu,
         "density": f"{body.density!r} kg/m3",

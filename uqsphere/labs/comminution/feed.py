@@ -159,11 +159,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     feed = asked.feed
     density = asked.material.density
     product = asked.product
-    if feed is None:
+    if not feed:
         raise UsageError("the input file has no table [feed]")
-    if feed.rebreak and product is None:
+    if feed.rebreak and not product:
         raise UsageError("feed.rebreak needs the sizes of fragments: add [product]")
-    if density is None:
+    if not density:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
     draws = len(posterior.law)
@@ -172,11 +172,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     edges, mass, _ = classes
     sizes = classes.sizes
     # energy of one blow per mass [J/kg], given in one of three ways; share that a particle absorbs
-    each: Array = laws.mass_of(sizes, density)
+    each = laws.mass_of(sizes, density)
     offered = feed.energy / each + feed.specific_energy + 0.5 * feed.speed**2
     share = np.ones(len(sizes))
     notes = list[str]()
-    if feed.impact_surface is not None:
+    if feed.impact_surface:
         share, notes = offered_shares(asked, feed.impact_surface, False, offered, sizes)
     taken = offered * share
     cumulative = broken_by_blow(posterior, taken, sizes, feed.blows)
@@ -194,7 +194,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     unbroken[:, -1] = np.clip(sieves / edges[-1], 0.0, 1.0)
     before = unbroken @ mass
     spread = None
-    if product is not None:
+    if product:
         fineness = laws.t10(offered, product.A, product.b)
         alpha = np.full(1, product.alpha)
         if isinstance(product.alpha, Lognormal):
@@ -208,13 +208,9 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             among[:, 0] = 1.0
             spread = -np.diff(among, axis=1, append=0.0)
     struck, broke, whole = population(cumulative, mass, spread)
-    numbers = {
-        "broken": total,
-        "blows": struck @ hit,
-        "energy [J/kg]": struck @ (hit * taken),
-    }
+    numbers = {"broken": total, "blows": struck @ hit, "energy [J/kg]": struck @ (hit * taken)}
     passes = []
-    if product is not None:
+    if product:
         passing = whole @ unbroken.T
         if not feed.rebreak:
             passing = passing + (curves * broke[:, None]).sum(axis=2)
@@ -229,7 +225,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
         p50 = np.exp([np.interp(0.5, row, log_sieves) for row in passing])
         numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50, "F80/P80": p80[-1] / p80[:-1]}
-        if feed.fines is not None:
+        if feed.fines:
             size = math.log(feed.fines)
             numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in passing])
     numbers["never broken"] = 1.0 - total
@@ -237,10 +233,10 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
 
     # --- where the numbers are extrapolated or assumed
-    warnings = [*classes.notes]
+    warnings = classes.notes
     if asked.tests.synthetic:
         warnings.insert(0, SYNTHETIC)
-    if product is not None:
+    if product:
         outside = (offered < _OFFERED[0]) | (offered > _OFFERED[1])
         outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
         broke_of = broke.mean(axis=0)
@@ -261,7 +257,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         warnings.append("no test was repeated: the damage exponent gamma has its prior, 2.0 to 7.9")
     warnings.append("energies are those absorbed by the particles; the machine uses more")
 
-    content: dict[str, Any] = {
+    content = {
         "title": asked.title,
         "blows": feed.blows,
         "energy_offered": offered.tolist(),
@@ -278,10 +274,10 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             for k in range(len(sizes))
         ],
         "product": passes,
-        "warnings": [*warnings, *notes],
+        "warnings": warnings + notes,
         "particle_share": share.tolist(),
     }
-    if feed.lot is not None:
+    if feed.lot:
         # so many particles of each class, which break or not
         count = np.round(mass * feed.lot / each)
         few = count < 1e8

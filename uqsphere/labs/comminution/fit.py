@@ -7,8 +7,6 @@ round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph
 907), with truncated weights while it adapts (E. L. Ionides, same journal 17 (2008) 295).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -84,7 +82,7 @@ class Posterior(NamedTuple):
     tested: tuple[float, float]
     tests: int
 
-    def at(self, rows: Places) -> Posterior:
+    def at(self, rows: Places) -> "Posterior":
         """Some of the draws."""
         parameters = {name: values[rows] for name, values in self.parameters.items()}
         return self._replace(law=self.law[rows], parameters=parameters)
@@ -164,7 +162,7 @@ def log_likelihoods(
     names = [*model.priors]
     fitted = "gamma" in names
     nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
-    every = np.stack(tests.bounds(nodes))
+    every = tests.bounds(nodes)
     with np.errstate(divide="ignore"):
         logs = np.log(every)
 
@@ -187,7 +185,7 @@ def log_likelihoods(
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
         median = model.median(p, tests.diameter)
         shape = p[laws.LAWS[model.law]]
-        low, high = bounds(x)
+        ends = bounds(x)
         likelihood = np.empty(median.shape)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for rows, function in (
@@ -195,9 +193,8 @@ def log_likelihoods(
                 (~tests.exact, laws.log_between),
             ):
                 if rows.any():
-                    ends = (low[..., rows], high[..., rows])
                     likelihood[..., rows] = function(
-                        model.law, ends, median[..., rows], shape, model.ratio
+                        model.law, ends[..., rows], median[..., rows], shape, model.ratio
                     )
         return tests.weight * likelihood
 
@@ -218,8 +215,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
         priors = {f"e50_{k + 1}": _FLAT for k in range(len(sizes))}
     else:
         largest = tests.diameter >= 0.75 * tests.diameter.max()
-        energies = np.log(tests.last[largest])
-        middle = np.average(energies, weights=tests.weight[largest])
+        middle = np.average(np.log(tests.last[largest]), weights=tests.weight[largest])
         usual = {**PRIORS, "e_inf": (middle, 5.0), "C": _FLAT}
         priors = {name: usual[name] for name in laws.SIZES[size]}
     priors[shape] = PRIORS[shape] if several else _FLAT
@@ -228,7 +224,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     for name, prior in want.prior.items():
         if name in priors:
             priors[name] = (prior.log_mean, prior.log_sd)
-    return EnergyModel(law=law, size=size, ratio=want.ratio, priors=priors, classes=sizes)
+    return EnergyModel(law, size, want.ratio, priors, sizes)
 
 
 # --- sampling -------------------------------------------------------------------------------------
@@ -244,8 +240,8 @@ def sample(
     centre, sd = np.array([*model.priors.values()]).T
 
     def value(x: Array) -> Array:
-        prior = -0.5 * np.square(np.where(np.isinf(sd), 0.0, (x - centre) / sd)).sum(axis=-1)
         with np.errstate(invalid="ignore"):
+            prior = -0.5 * np.square((x - centre) / sd).sum(axis=-1)
             total = each(x).sum(axis=-1) + prior
         return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(total), total, -np.inf)
 
@@ -335,7 +331,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         chain, about[model.law] = sample(model, tests, gamma, rng, asked.draws)
         chains.append(chain)
     weights = special.softmax([law["loo"] for law in about.values()])
-    for law, weight in zip(about.values(), weights.tolist(), strict=True):
+    for law, weight in zip(about.values(), weights, strict=True):
         law["weight"] = weight
     # the draws of all laws by their weights, in random order
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
@@ -351,7 +347,7 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
             column[places] = np.exp(chains[k][rows, j])
     mean, sd = PRIORS["gamma"]
     parameters.setdefault("gamma", np.exp(mean + sd * rng.standard_normal(len(law_of))))
-    if gamma is not None:
+    if gamma:
         parameters["gamma"] = np.full(len(law_of), gamma)
     posterior = Posterior(
         models=models,
@@ -410,19 +406,6 @@ def _described(
     ]
     if want.synthetic:
         warnings.append(SYNTHETIC)
-    sizes = []
-    for size, near in [*tests.sizes.items()][:_MOST_SIZES]:
-        sizes.append(
-            {
-                "diameter": size,
-                "tests": int(tests.weight[near].sum()),
-                "broke": int(tests.weight[near & tests.broke].sum()),
-                "breaks_half": quantiles(posterior.energy_at(0.5, size)),
-                "E50": quantiles(posterior.median(size)),
-                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
-                "slope": quantiles(-posterior.slope(size)),
-            }
-        )
     return {
         "title": asked.title,
         "seed": asked.seed,
@@ -439,6 +422,17 @@ def _described(
         },
         "laws": about,
         "parameters": parameters,
-        "sizes": sizes,
+        "sizes": [
+            {
+                "diameter": size,
+                "tests": int(tests.weight[near].sum()),
+                "broke": int(tests.weight[near & tests.broke].sum()),
+                "breaks_half": quantiles(posterior.energy_at(0.5, size)),
+                "E50": quantiles(posterior.median(size)),
+                "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),
+                "slope": quantiles(-posterior.slope(size)),
+            }
+            for size, near in [*tests.sizes.items()][:_MOST_SIZES]
+        ],
         "warnings": warnings,
     }

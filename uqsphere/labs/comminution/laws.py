@@ -26,11 +26,7 @@ from uqsphere.arrays import Array, Values, special
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
 #: parameters of a size law, the energy first, by its name
-SIZES = {
-    "tavares": ("e_inf", "d0", "phi"),
-    "king": ("e_inf", "d0", "phi"),
-    "power": ("C", "phi"),
-}
+SIZES = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"), "power": ("C", "phi")}
 LAWS = {"lognormal": "sigma", "weibull": "modulus"}
 
 
@@ -48,9 +44,7 @@ def hazard(energy: Values, median: Values, modulus: Values) -> Values:
         return math.log(2.0) * (energy / median) ** (0.6 * modulus)
 
 
-def broken_share(
-    law: str, energy: Values, median: Values, shape: Values, ratio: Values = math.inf
-) -> Values:
+def broken_share(law: str, energy: Values, median: Values, shape: Values, ratio: Values) -> Values:
     """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus
     m."""
     if law == "lognormal":
@@ -58,9 +52,7 @@ def broken_share(
     return -np.expm1(-hazard(energy, median, shape))
 
 
-def energy_at(
-    law: str, share: Values, median: Values, shape: Values, ratio: Values = math.inf
-) -> Values:
+def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Values) -> Values:
     """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
     if law == "lognormal":
         stretched = median * np.exp(shape * special.ndtri(share))
@@ -69,10 +61,8 @@ def energy_at(
     return median * hazards ** (1.0 / (0.6 * shape))
 
 
-def log_density(
-    law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
-) -> Values:
-    """ln f(e) at the upper one of two ends [J/kg]."""
+def log_density(law: str, ends: Array, median: Array, shape: Array, ratio: float) -> Values:
+    """ln f(e) at the upper one of two ends (2, ...) [J/kg]."""
     energy = ends[1]
     if law == "weibull":
         exponent = hazard(energy, median, shape)
@@ -83,10 +73,8 @@ def log_density(
     return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
 
 
-def log_between(
-    law: str, ends: tuple[Array, Array], median: Array, shape: Array, ratio: float
-) -> Array:
-    """ln(P(high) - P(low)) of two ends [J/kg]."""
+def log_between(law: str, ends: Array, median: Array, shape: Array, ratio: float) -> Array:
+    """ln(P(high) - P(low)) of two ends (2, ...) [J/kg]."""
     if law == "weibull":
         low, high = (hazard(end, median, shape) for end in ends)
         larger = -low
@@ -149,7 +137,7 @@ def survivor_bound(energies: Values, gamma: Values) -> Array:
     >>> survivor_bound([1.0, 1.0, 1.0], 4.0).round(4).tolist()
     1.8166
     """
-    blows = np.asarray(energies, dtype=float)
+    blows = np.asarray(energies, float)
     bound = np.zeros(np.broadcast_shapes(blows.shape[:-1], np.shape(gamma)))
     for energy in np.moveaxis(blows, -1, 0)[::-1]:
         struck = energy > 0.0

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Flags, Names, Values
 from uqsphere.errors import UsageError
 from uqsphere.tables import Table, read_table
 
@@ -41,7 +41,7 @@ class Specimens(NamedTuple):
     broke: Flags
     exact: Flags
     weight: Array
-    notes: tuple[str, ...] = ()
+    notes: Names = ()
 
     @property
     def last(self) -> Array:
@@ -67,14 +67,14 @@ class Specimens(NamedTuple):
         sizes = [np.exp(part.mean()) for part in parts]
         return {size: np.abs(np.log(self.diameter / size)) < _NEAR for size in sizes}
 
-    def bounds(self, gamma: Array) -> tuple[Array, Array]:
-        """(low, high] of the first fracture energy (..., s) for gamma (...); equal where it is
+    def bounds(self, gamma: Array) -> Array:
+        """(low, high] of the first fracture energy, (2, ..., s), for gamma (...); equal where it is
         known exactly."""
         exponent = gamma[..., None]
         breaking = self._is_last & self.broke[:, None]
         survived = laws.survivor_bound(np.where(breaking, 0.0, self.blows), exponent)
         ended = np.where(self.broke, laws.survivor_bound(self.blows, exponent), np.inf)
-        return np.where(self.exact, self.last, survived), np.where(self.exact, self.last, ended)
+        return np.where(self.exact, self.last, [survived, ended])
 
 
 def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
@@ -88,9 +88,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
         kept = [row for row, cell in enumerate(cells) if cell == value]
         table = replace(
-            table,
-            rows=[table.rows[row] for row in kept],
-            lines=[table.lines[row] for row in kept],
+            table, rows=[table.rows[row] for row in kept], lines=[table.lines[row] for row in kept]
         )
     if not len(table):
         raise UsageError(f"{table.name}: tests.where selects no row")
@@ -147,8 +145,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
                 "one particle"
             )
         series = np.repeat(energy[rows], blows[rows].astype(int))
-        survived = particles[last] - broken[last]
-        for broke, number in ((True, broken[last]), (False, survived)):
+        for broke, number in ((True, broken[last]), (False, particles[last] - broken[last])):
             exact = broke and at_failure[last] and len(series) == 1
             if number > 0:
                 specimens.append((diameter[last], series, broke, exact, number))
@@ -159,14 +156,14 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         broke=np.array(ended),
         exact=np.array(known),
         weight=np.array(weights),
-        notes=(*table.notes, *notes, *_odd_rows(table, diameter, energy)),
+        notes=table.notes + notes + _odd_rows(table, diameter, energy),
     )
     if not tests.broke.any():
         raise UsageError(
             "every particle survived: nothing bounds the fracture energy from above; test at "
             "higher energies"
         )
-    if tests.broke.all() and not tests.exact.any() and not tests.repeated.any():
+    if (tests.broke & ~tests.exact & ~tests.repeated).all():
         raise UsageError(
             "every particle broke at its first blow: nothing bounds it from below; test at lower "
             "energies"

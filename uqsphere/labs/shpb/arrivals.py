@@ -62,11 +62,9 @@ def find_arrivals(record: Record) -> Arrivals:
     wave = incident.wave
     step = incident.step
     bar = incident.bar
-    behind = receiving.bar
     if record.document.record.aligned:
         return Arrivals(record.reflected.wave.start, receiving.wave.start)
-    predicted = (2.0 * bar.passage / step, (bar.passage + behind.passage) / step)
-    back, there = _delays(record, predicted, *_SURE)
+    back, there = _delays(record, *_SURE)
     steep = wave.rising
     if there.seen < -steep:
         raise UsageError(
@@ -74,14 +72,14 @@ def find_arrivals(record: Record) -> Arrivals:
             "incident wave. Are the columns exchanged?"
         )
     fits = 0.5 * back.seen * step * bar.wave_speed
-    doubt_a = _doubt(back, (steep, 5.0), fits)
+    doubt_a = _doubt(back, steep, 5.0, fits)
     speed_ratio = 1.0
     if doubt_a:
         doubt_a += " (or another E or density)"
         speed_ratio = back.predicted / max(back.seen, 1.0)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
-    fits = (there.seen * step - bar.passage) * behind.wave_speed
-    doubt_b = _doubt(there, (steep, soft), fits)
+    fits = (there.seen * step - bar.passage) * receiving.bar.wave_speed
+    doubt_b = _doubt(there, steep, soft, fits)
     if doubt_b:
         other = there.predicted / max(there.seen, 1.0)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
@@ -99,7 +97,7 @@ def find_arrivals(record: Record) -> Arrivals:
             to_b = receiving.wave.foot - receiving.wave.lead
         return Arrivals(wave.start + back.predicted, to_b, doubt_a, doubt_b, speed_ratio)
     arrivals = []
-    for delay in _delays(record, predicted, *_FINE):
+    for delay in _delays(record, *_FINE):
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
             shift = delay.late
@@ -112,20 +110,20 @@ def find_arrivals(record: Record) -> Arrivals:
     return Arrivals(arrivals[0], arrivals[1])
 
 
-def _delays(
-    record: Record, predicted: tuple[float, float], share: float, window: float
-) -> tuple[_Delay, _Delay]:
+def _delays(record: Record, share: float, window: float) -> tuple[_Delay, _Delay]:
     """The delays of the reflected and the transmitted wave, by a share and a time such as
     `_SURE`."""
-    width = max(1, round(window / record.incident.step))
+    incident = record.incident
+    receiving = record.receiving
+    wave = incident.wave
+    step = incident.step
+    passage = incident.bar.passage
+    width = max(1, round(window / step))
 
     def level(signal: Signal) -> float:
         """The strain at which a wave is there: a share of its peak, or above its noise."""
         return max(share * signal.wave.peak, 5.0 * signal.noise / math.sqrt(width))
 
-    incident = record.incident
-    receiving = record.receiving
-    wave = incident.wave
     pressing = -smooth(incident.strain, width)
     high = level(incident)
     first = _crossing(pressing, high, max(wave.foot - 2 * wave.rising - 5, 0), wave.falling)
@@ -136,11 +134,12 @@ def _delays(
         low = np.flatnonzero(pressing[wave.falling :] < high)
         begin = wave.falling + low.min(initial=len(size)) + 1
     there = -smooth(receiving.strain, width)
-    reflected = _crossing(size, high, begin, len(size))
-    transmitted = _crossing(there, level(receiving), 0, receiving.wave.falling + 1)
+    reflected = _crossing(size, high, begin, len(size)) - first
+    transmitted = _crossing(there, level(receiving), 0, receiving.wave.falling + 1) - first
+    way = passage + receiving.bar.passage
     return (
-        _Delay("reflected", record.reflected, predicted[0], reflected - first),
-        _Delay("transmitted", receiving, predicted[1], transmitted - first),
+        _Delay("reflected", record.reflected, 2.0 * passage / step, reflected),
+        _Delay("transmitted", receiving, way / step, transmitted),
     )
 
 
@@ -151,12 +150,11 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> float:
     return begin + first[0] if len(first) else math.nan
 
 
-def _doubt(delay: _Delay, spare: tuple[float, float], fits: float) -> str:
+def _doubt(delay: _Delay, steep: float, late: float, fits: float) -> str:
     """Why a delay does not fit the distance of its gauge, where another one fits; empty if it does.
 
-    spare : samples in which the wave rises, and by which it may be late beside this.
+    steep : samples in which the wave rises; late : by which it may be late beside this.
     """
-    steep, late = spare
     early = -(_EARLY * delay.predicted + 0.5 * steep + 3.0)
     if not (delay.late < early or delay.late > late + _LATE * delay.predicted + 2.0 * steep):
         return ""

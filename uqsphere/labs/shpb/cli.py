@@ -52,7 +52,7 @@ def _records(chosen: argparse.Namespace) -> int:
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
         peak = test.peaks["B"]
         diameter = ""
-        if asked.specimen.diameter is not None:
+        if asked.specimen.diameter:
             diameter = f"{asked.specimen.diameter * 1e3:.6g}"
         forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
         lines.append((path.stem, diameter, *forces, "; ".join(peak.doubts)))
@@ -60,22 +60,22 @@ def _records(chosen: argparse.Namespace) -> int:
         files |= {folder + name: text for name, text in sheet.written(test, asked).items()}
     content = contents[0]
     if several:
-        head = ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
-        files["tests.csv"] = csv_text(lines, head)
+        files["tests.csv"] = csv_text(
+            lines, ["test", "diameter [mm]", "force [kN]", "low [kN]", "high [kN]", "doubts"]
+        )
         content = {"tests": contents}
     finish(chosen, content, "\n\n".join(texts), files)
     return 2 if all("refused" in content for content in contents) else 0
 
 
 def _fit_contact(chosen: argparse.Namespace) -> None:
-    from .contact import ContactDocument, fit_contact, load_loading
+    from .contact import ContactDocument, fit_contact
 
-    asked = load_document(chosen.file, ContactDocument)
-    fit = fit_contact(load_loading(asked, chosen.file.parent), asked)
+    fit = fit_contact(load_document(chosen.file, ContactDocument), chosen.file.parent)
     for note in fit.notes:
         print(f"note: {note}", file=sys.stderr)
     lines = fit.lines()
-    text = table(fit.rows()) + "\n\n" + lines
+    text = f"{table(fit.rows())}\n\n{lines}"
     finish(chosen, {**asdict(fit), "toml": lines}, text, {"contact.toml": lines})
 
 

@@ -100,13 +100,16 @@ class ContactFit:
 
     def lines(self) -> str:
         """The lines of a study."""
-        lines = ["[contact]", 'law = "plastic"']
-        for name in ("onset_pressure", "hardness"):
-            value, ends = getattr(self, name).in_gpa()
-            lines.append(f'{name} = "{value}"    # {ends}')
+        onset, onset_ends = self.onset_pressure.in_gpa()
+        hardness, hardness_ends = self.hardness.in_gpa()
         pile_up = self.pile_up
-        ends = f"{pile_up.low:.3g} to {pile_up.high:.3g}"
-        return "\n".join([*lines, f"pile_up = {pile_up.value:.4g}    # {ends}", ""])
+        return f"""\
+[contact]
+law = "plastic"
+onset_pressure = "{onset}"    # {onset_ends}
+hardness = "{hardness}"    # {hardness_ends}
+pile_up = {pile_up.value:.4g}    # {pile_up.low:.3g} to {pile_up.high:.3g}
+"""
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and 95 % interval."""
@@ -120,7 +123,7 @@ class ContactFit:
         misfit = f"{self.misfit * 1e6:.2g} um"
         ends = f"{pile_up.low:.4g} to {pile_up.high:.4g}"
         return [
-            *((name, *number.in_gpa()) for name, number in moduli.items() if number is not None),
+            *((name, *number.in_gpa()) for name, number in moduli.items() if number),
             ("pile-up", f"{pile_up.value:.4g}", ends),
             ("misfit of the displacement", misfit, f"{self.samples} samples"),
         ]
@@ -151,7 +154,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
     if asked.compression == "negative":
         displacement = -displacement
         force = -force
-    if asked.machine_stiffness is not None:
+    if asked.machine_stiffness:
         displacement = displacement - force / asked.machine_stiffness
     top = np.argmax(force)
     if not force[top] > 0.0:
@@ -169,7 +172,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
         raise UsageError(
             "the displacement jumps back and forth. Put the samples in the order of the record"
         )
-    if asked.pile_up is None and force[top:].min() > _UNLOADED * force[top]:
+    if not asked.pile_up and force[top:].min() > _UNLOADED * force[top]:
         raise UsageError(
             "the record is not unloaded, which hardness and pile-up need. Unload, or set pile_up"
         )
@@ -199,12 +202,13 @@ def face_approach(force: Array, largest: Array, face: Face) -> Array:
     return depth * face.onset_approach
 
 
-def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
-    """Onset, hardness and pile-up of the faces of a sphere.
+def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
+    """Onset, hardness and pile-up of the faces of a sphere, from the record of an input file.
 
-    Raises UsageError for a record that is elastic throughout, or that no law fits.
+    Raises UsageError as `load_loading`, and for a record that is elastic throughout, or that no law
+        fits.
     """
-    displacement, force, largest, _ = loading
+    displacement, force, largest, notes = load_loading(asked, folder)
     scale = np.ptp(displacement)
     highest = force.max()
     radius = 0.5 * asked.diameter
@@ -213,21 +217,23 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
         """The law of logarithms of E*, onset and H/p_y, of the touch, and of the pile-up if it is
         free."""
         modulus, onset, ratio = map(math.exp, x[:3])
-        pile_up = asked.pile_up or x[4]
         return face_law(
-            radius, modulus=modulus, onset=onset, hardness=onset * ratio, pile_up=pile_up
+            radius,
+            modulus=modulus,
+            onset=onset,
+            hardness=onset * ratio,
+            pile_up=asked.pile_up or x[4],
         )
 
     def residual(x: Array) -> Array:
         approach = face_approach(force, largest, law_of(x))
         return np.asarray((displacement - 2.0 * approach) / scale - x[3])
 
-    free = slice(5 if asked.pile_up is None else 4)
+    free = slice(4 if asked.pile_up else 5)
     fits = []
     for share in _BEGINNINGS:
         early = (force <= max(0.15, share) * highest) & (force >= largest)
         slope = 0.0
-        touch = 0.0
         if early.sum() > 3:
             slope, touch = np.polyfit(np.cbrt(np.square(force[early])), displacement[early], 1)
         if not slope > 0.0:
@@ -244,8 +250,7 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     best = min(fits, key=lambda fitted: fitted.cost)
     left = best.fun
     law = law_of(best.x)
-    top = np.full(1, highest)
-    depth = (face_approach(top, top, law) / law.onset_approach)[0]
+    depth = law.depth_at(np.full(1, highest))[0]
     # correlated residuals count for fewer
     squares = float(left @ left)
     correlation = float(left[1:] @ left[:-1]) / max(squares, 1e-300)
@@ -268,7 +273,7 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
     modulus = interval(law.modulus[0], 0, 1)
     onset = interval(law.onset[0], 1, 2)
     hardness = interval(law.hardness[0], 1, 3)
-    misfit = np.sqrt(np.mean(np.square(left)))
+    misfit = math.sqrt(squares / len(left))
     undetermined = onset.high > _OPEN * onset.low
     if undetermined and misfit > 0.01:
         raise UsageError(
@@ -280,7 +285,6 @@ def fit_contact(loading: Loading, asked: ContactDocument) -> ContactFit:
             f"the record is hardly beyond Hertz (pressure up to {reached / 1e9:.3g} GPa): press "
             "harder"
         )
-    notes = [*loading.notes]
     if hardness.high > _OPEN * hardness.low:
         notes.append("the record does not determine the hardness: press harder")
     if correlation > 0.0:

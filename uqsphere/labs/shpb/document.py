@@ -1,7 +1,5 @@
 """The input file of a record: bars with their gauges, the file, the specimen."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 
@@ -26,7 +24,7 @@ from uqsphere.units import parse_value
 _HEAVIEST = 8000.0
 
 Columns = Annotated[
-    tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, (str, int)) else v)
+    tuple[str | int, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str | int) else v)
 ]
 
 
@@ -88,7 +86,7 @@ class BarTable(Section):
     @property
     def echo(self) -> float:
         """Time [s] in which a wave goes from the gauge to the far end and back."""
-        if self.end == "absorbing" or self.length is None:
+        if self.end == "absorbing" or not self.length:
             return math.inf
         return 2.0 * (self.length - self.gauge) / self.wave_speed
 
@@ -141,13 +139,13 @@ class SpecimenTable(Section):
         Its own mass where it is known, else a sphere or cylinder of steel of its size, else a
         sphere of steel as wide as the bar, `widest` [m].
         """
-        if self.mass is not None:
+        if self.mass:
             return 1.02 * self.mass
         diameter = self.diameter or widest
         volume = math.pi / 6.0 * diameter**3
-        if self.length is not None:
+        if self.length:
             volume = math.pi / 4.0 * diameter**2 * self.length
-        if self.density is None or self.diameter is None:
+        if not (self.density and self.diameter):
             return _HEAVIEST * volume
         return 1.02 * (self.density * volume)
 
@@ -171,14 +169,14 @@ class RecordDocument(Section):
         receiving = from_library(data.get("receiving_bar", {}), "bars")
         if isinstance(receiving, dict):
             shared = {key: value for key, value in incident.items() if key != "gauge"}
-            receiving = {**shared, **receiving}
+            receiving = shared | receiving
         return {**data, "incident_bar": incident, "receiving_bar": receiving}
 
     @model_validator(mode="after")
-    def _whole(self) -> RecordDocument:
+    def _whole(self) -> "RecordDocument":
         for name in ("incident_bar", "receiving_bar"):
             bar = getattr(self, name)
-            if bar.length is not None and bar.gauge > bar.length:
+            if bar.length and bar.gauge > bar.length:
                 raise ValueError(
                     f"{name}.gauge must be on the bar of {bar.length:g} m, not at {bar.gauge:g} m"
                 )

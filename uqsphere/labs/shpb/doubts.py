@@ -35,18 +35,19 @@ def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> Non
         f"an incident wave of {strain * 1e6:.4g} microstrain corresponds to a striker of "
         f"{speed:.3g} m/s"
     )
-    if measured is None:
+    if not measured:
         incident.changes.add(
             "gains",
             "an error common to both bars (gain, E, diameter) does not show in a record; "
             "record.striker_speed checks the gains",
         )
         if not _STRUCK[0] <= speed <= _STRUCK[1]:
-            peaks.doubt(peaks, f"{text}: is a unit or a gain wrong?")
+            for face in peaks:
+                peaks.doubt(face, f"{text}: is a unit or a gain wrong?")
     elif abs(speed - measured) > _SPEED_ERROR * measured:
         text += f", not {measured:.3g} m/s: a gain or a unit is wrong"
         for face, peak in peaks.items():
-            peaks.doubt([face], text, peak.low * measured / speed, peak.high * measured / speed)
+            peaks.doubt(face, text, peak.low * measured / speed, peak.high * measured / speed)
 
 
 def check_bending(peaks: Peaks, face: str, spread: Array, step: float, wave: float) -> None:
@@ -104,7 +105,7 @@ def check_impulse(
             factors = [1.0 + gain for gain in gains]
             if face != "B":
                 factors = [1.0 / max(factor, 1e-3) for factor in factors]
-            peaks.doubt([face], text, *(peak.value * factor for factor in factors))
+            peaks.doubt(face, text, *(peak.value * factor for factor in factors))
     return None
 
 
@@ -116,7 +117,7 @@ def _fit_inertia(motion: Array, step: float, heaviest: float) -> tuple[float, fl
     approaches -= np.cbrt(np.square(np.maximum(force_b, 0.0)))
     impulses = step**2 * np.cumsum(np.cumsum(force_b))
     difference = step**2 * np.cumsum(np.cumsum(force_a - force_b))
-    columns = np.stack([way, -approaches, impulses], axis=1)
+    columns = np.column_stack([way, -approaches, impulses])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     bounds = ([0.0, -np.inf, -np.inf], [heaviest * scale[0], np.inf, np.inf])
     fitted = lsq_linear(columns / scale, difference, bounds, method="bvls").x / scale
@@ -146,13 +147,13 @@ def check_specimen(
                 f"an incident wave of {pressed * 1e-3:.4g} kN causes at most twice this force, "
                 f"{2.0 * pressed * 1e-3:.4g} kN"
             )
-            peaks.doubt([face], text, 2.0 * pressed)
+            peaks.doubt(face, text, 2.0 * pressed)
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
-            peaks.doubt([face], f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
-        if strongest is not None and peak.low > strongest:
+            peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
+        if strongest and peak.low > strongest:
             text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
-            peaks.doubt([face], text, strongest)
+            peaks.doubt(face, text, strongest)
     if "A" not in before:
         return []
     a = before["A"]
@@ -161,20 +162,20 @@ def check_specimen(
     apart = abs(a.value - b.value) / max(a.value, b.value)
     differ = a.low > b.high or b.low > a.high or apart > _APART
     uncommon = before["mean"].value < (1.0 - EQUILIBRIUM) * 0.5 * (a.value + b.value)
-    if mass is not None:
-        if differ or uncommon or apart > EQUILIBRIUM:
-            return [
-                f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} "
-                "g, explains the difference. B is the force at the far face"
-            ]
-        return []
-    if differ:
-        text = f"the faces differ by {apart:.0%} ({both})"
-        peaks.doubt(before, text, a.low, b.low, a.high, b.high)
-    if uncommon:
-        text = (
-            f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean has "
-            "no common peak"
-        )
-        peaks.doubt(["mean"], text, a.high, b.high)
+    if mass is None:
+        if differ:
+            text = f"the faces differ by {apart:.0%} ({both})"
+            for face in peaks:
+                peaks.doubt(face, text, a.low, b.low, a.high, b.high)
+        if uncommon:
+            text = (
+                f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean "
+                "has no common peak"
+            )
+            peaks.doubt("mean", text, a.high, b.high)
+    elif differ or uncommon or apart > EQUILIBRIUM:
+        return [
+            f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} g, "
+            "explains the difference. B is the force at the far face"
+        ]
     return []

@@ -72,8 +72,8 @@ class Signal(NamedTuple):
     role, name, bar, changes, step, known : as of a `Trace`.
     noise : standard deviation of a sample at rest, correlated over `memory` samples.
     offset : standard deviation of the baseline.
-    spread : (n,) half the difference between the gauges of a bar; 0 for one gauge.
     single : whether a bar has one working gauge, which does not show bending.
+    spread : (n,) half the difference between the gauges of a bar; one 0 for one gauge.
     """
 
     role: str
@@ -85,10 +85,17 @@ class Signal(NamedTuple):
     known: Flags
     noise: float
     offset: float
-    spread: Array
     wave: Wave
     memory: float = 1.0
     single: bool = False
+    spread: Array = np.zeros(1)
+
+    @property
+    def peak(self) -> float:
+        """The largest strain: of the wave, or of the known samples where some are not."""
+        if self.known.all():
+            return self.wave.peak
+        return float(np.abs(self.strain[self.known]).max(initial=0.0))
 
 
 def note(gauge: Trace | Signal, step: str, text: str, size: float | None = None) -> None:
@@ -141,26 +148,26 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             "(record.time_unit)?"
         )
     # the first wave of a signal begins before the first echo of a far end
-    limits = dict.fromkeys(("incident", "reflected", "receiving"), length)
-    if not asked.aligned:
-        first = min(pulse.half for pulse in pulses)
-        delay = bar.passage + behind.passage + behind.echo
-        limits["incident"] = int(min(length, first + 2.0 * passage / step))
-        limits["receiving"] = int(min(length, first + delay / step))
+    first = min(pulse.half for pulse in pulses)
+    delay = bar.passage + behind.passage + behind.echo
+    echoes = {"incident": first + 2.0 * passage / step, "receiving": first + delay / step}
     polarity = {"auto": 0.0, "tension": 1.0, "compression": -1.0}[asked.polarity]
     signals = {}
     signs = list[float]()
     for role, gauges in groupby(traces, lambda trace: trace.role):
         end = 0
+        limit = length
         turned = []
         names = []
+        if not asked.aligned:
+            limit = int(min(length, echoes.get(role, length)))
         if role == "receiving":
             end = max(min(pulse.half - 2 * pulse.rising for pulse in pulses), 0)
         for trace in gauges:
             if asked.aligned:
                 signal = _cut_out(trace)
             else:
-                signal = _about_rest(trace, end, limits[role])
+                signal = _about_rest(trace, end, limit)
             # one sign a bar: a reflected wave has the sign of its incident gauge
             sign = polarity or -signal.wave.sign
             if role == "reflected":
@@ -173,18 +180,19 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
         if names and not polarity:
             text = "compression is positive in the file; the sign is changed"
             changes.add("sign", text, signal=", ".join(names))
-        signals[role] = _joined(turned, limits[role])
+        signals[role] = _joined(turned, limit)
     incident = signals["incident"]
-    if asked.window is not None:
+    if asked.window:
         begin, end = (round((time - start) / step) for time in asked.window)
-        if not 0 <= begin < end < len(incident.strain):
+        if not 0 <= begin < end < length:
             raise UsageError("record.window must be [begin, end] within the record")
-        inside = np.zeros(len(incident.strain))
+        inside = np.zeros(length)
         inside[begin : end + 1] = incident.strain[begin : end + 1]
         wave = _first_wave(incident, inside, incident.noise)
         incident = incident._replace(wave=wave._replace(foot=begin, end=end))
-    reflected = signals.get("reflected", incident)
-    return Record(document, start, incident, reflected, signals["receiving"])
+    return Record(
+        document, start, incident, signals.get("reflected", incident), signals["receiving"]
+    )
 
 
 # --- first waves ----------------------------------------------------------------------------------
@@ -431,8 +439,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
             f"{drift * 1e6:.3g} microstrain in total",
             drift,
         )
-    spread = np.zeros_like(values)
-    return Signal(*trace._replace(strain=strain), noise, offset, spread, wave, memory)
+    return Signal(*trace._replace(strain=strain), noise, offset, wave, memory)
 
 
 def _cut_out(trace: Trace) -> Signal:
@@ -443,8 +450,7 @@ def _cut_out(trace: Trace) -> Signal:
     wave = _first_wave(trace, values, noise)
     text = f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero"
     note(trace, "baseline", text, start)
-    spread = np.zeros_like(values)
-    return Signal(*trace._replace(strain=values), noise, 0.01 * wave.peak, spread, wave)
+    return Signal(*trace._replace(strain=values), noise, 0.01 * wave.peak, wave)
 
 
 # --- the gauges of a bar --------------------------------------------------------------------------
@@ -453,13 +459,10 @@ def _cut_out(trace: Trace) -> Signal:
 def _joined(gauges: list[Signal], limit: int) -> Signal:
     """The gauges of a bar as one signal: dead ones left out, the others averaged, with the bending
     that they show."""
-    peaks = [gauge.wave.peak for gauge in gauges]
-    for k, gauge in enumerate(gauges):
-        if not gauge.known.all():
-            peaks[k] = np.abs(gauge.strain[gauge.known]).max(initial=0.0)
+    largest = max(gauge.peak for gauge in gauges)
     alive = []
-    for gauge, peak in zip(gauges, peaks, strict=True):
-        share = peak / max(peaks)
+    for gauge in gauges:
+        share = gauge.peak / largest
         if share >= _DEAD:
             alive.append(gauge)
         else:

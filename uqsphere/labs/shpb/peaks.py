@@ -5,10 +5,7 @@ noise allows, and what this mean misses by a mean over twice as many.  No value 
 smoothed samples: a parabola overshoots where a ramp meets a plateau.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -43,16 +40,15 @@ class Peak(NamedTuple):
 class Peaks(dict[str, Peak]):
     """Largest forces by face, "A", "B" and "mean"; only faces that are known."""
 
-    def doubt(self, faces: Iterable[str], text: str, *ends: float) -> None:
-        """Add a doubt to faces and widen their intervals to `ends` [N]; an empty text adds none."""
-        for face in faces:
-            if text and face in self:
-                peak = self[face]
-                self[face] = peak._replace(
-                    doubts=(*peak.doubts, text),
-                    low=min((peak.low, *ends)),
-                    high=max((peak.high, *ends)),
-                )
+    def doubt(self, face: str, text: str, *ends: float) -> None:
+        """Add a doubt to a face and widen its interval to `ends` [N]; an empty text adds none."""
+        if text and face in self:
+            peak = self[face]
+            self[face] = peak._replace(
+                doubts=(*peak.doubts, text),
+                low=min((peak.low, *ends)),
+                high=max((peak.high, *ends)),
+            )
 
 
 class Force(NamedTuple):
@@ -68,7 +64,7 @@ class Force(NamedTuple):
     noise: float
     memory: float
 
-    def part(self, zone: slice) -> Force:
+    def part(self, zone: slice) -> "Force":
         """The samples of a slice."""
         return self._replace(time=self.time[zone], force=self.force[zone], sd=self.sd[zone])
 

@@ -5,8 +5,6 @@ The study gives sphere, rig, scatter and strengths.  The shares are the fragilit
 share of 0.01 % comes from the distribution of the strength, not from counted samples.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -138,14 +136,15 @@ def plan_text(plan: dict[str, Any]) -> str:
         row = [format_probability(cells[0]["share"])]
         for cell in cells:
             text = "outside the range"
-            if cell["value"] is not None:
+            if cell["value"]:
                 value, low, high = cell["value"]
                 text = f"{factor * value:.4g} {unit} ({factor * low:.4g} to {factor * high:.4g})"
             row.append(text)
         wanted.append(row)
     notes = [f"note: {note}" for note in plan["notes"]]
-    heading = f"{free} at which a share breaks"
-    return "\n\n".join([plan["title"], table(rows), heading, table(wanted), *notes])
+    return "\n\n".join(
+        [plan["title"], table(rows), f"{free} at which a share breaks", table(wanted), *notes]
+    )
 
 
 def plan_csv(plan: dict[str, Any]) -> str:
@@ -158,13 +157,13 @@ def plan_csv(plan: dict[str, Any]) -> str:
     return csv_text(np.column_stack(columns), [*head, "failed [1]"])
 
 
-def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
+def _range(asked: PlanDocument, study: "Study") -> tuple[str, float, float]:
     """The free number and its ends [SI]: of the file, of the study's margins, or a third to three
     times its value.
     """
     numbers = study.at_means()
     margins = study.margins
-    solved = margins.solve if margins is not None else ""
+    solved = margins.solve if margins else ""
     free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
     if free not in numbers:
         raise UsageError(
@@ -172,12 +171,12 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
         )
     low = numbers[free] / 3.0
     high = 3.0 * numbers[free]
-    if asked.between is not None:
+    if asked.between:
         try:
             low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)
         except UnitError as error:
             raise UsageError(f"between: {error}") from None
-    elif margins is not None and solved == free:
+    elif margins and solved == free:
         low, high = margins.between
     if not low < high:
         raise UsageError("between must be [low, high], two different values in this order")

@@ -27,9 +27,7 @@ _METADATA = 40
 #: most bytes of a file
 _LARGEST = 1 << 28
 _NUMBER = r"\W*([\d.]+(?:e[+-]?\d+)?)"
-_RATE = re.compile(
-    rf"sampl\w*[ _]*(?:rate|frequency){_NUMBER}\s*(?:([kM])(?=Hz|S))?", re.IGNORECASE
-)
+_RATE = re.compile(rf"sampl\w*[ _]*(?:rate|frequency){_NUMBER}\s*([kM](?=Hz|S)|)", re.IGNORECASE)
 _INTERVAL = re.compile(
     rf"sampl\w*[ _]*(?:interval|time|period){_NUMBER}\W*([a-zµ]*)", re.IGNORECASE
 )
@@ -141,12 +139,11 @@ def _form_of(lines: dict[int, str], written: str) -> _Form:
     divider = written[0]
     mark = written[1]
     is_number = NUMBER[mark].fullmatch
-    cells = cells_of(lines, divider)
-    rows = [row for row in cells.values() if any(map(is_number, row))]
+    rows = [row for row in cells_of(lines, divider).values() if any(map(is_number, row))]
     width = mode([*map(len, rows)] or [0])
     rows = [row for row in rows if len(row) == width]
     places = []
-    with_words = set[int]()
+    with_words = set()
     for place, column in enumerate(zip(*rows, strict=True)):
         words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
         if any(map(is_number, column)) and 2 * len(words) < len(column):
@@ -357,7 +354,7 @@ def _interval(text: str) -> float:
     rated = _RATE.search(text)
     timed = _INTERVAL.search(text)
     if rated:
-        rate = float(rated[1]) * _PREFIXES[(rated[2] or "").lower()]
+        rate = float(rated[1]) * _PREFIXES[rated[2].lower()]
         return 1.0 / rate if rate > 0.0 else 0.0
     if timed:
         return float(timed[1]) * UNITS["time"].get(timed[2] or "s", 1.0)
@@ -379,8 +376,9 @@ def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: 
                 "channels with one clock"
             )
         if len(table) != len(time):
-            text = "files of different length: the longer one is cut"
-            changes.add("read", text, signal=table.name)
+            changes.add(
+                "read", "files of different length: the longer one is cut", signal=table.name
+            )
     return time[:count]
 
 
@@ -392,7 +390,7 @@ def _is_clock(column: Column, time: Array, unit: str) -> bool:
 
 def _step(time: Array) -> float:
     """Median of the steps of a time."""
-    return float(np.median(np.abs(np.diff(time))))
+    return float(np.median(np.diff(time)))
 
 
 # --- gauges ---------------------------------------------------------------------------------------
@@ -416,7 +414,7 @@ def _by_role(
 
     if asked.incident and asked.receiving:
         roles = ("incident", "reflected", "receiving")
-        return {role: [*map(named, getattr(asked, role))] for role in roles if getattr(asked, role)}
+        return {role: [*map(named, getattr(asked, role))] for role in roles}
     if asked.incident or asked.receiving:
         raise UsageError("record.incident and record.receiving are both required")
     signals = [
@@ -461,7 +459,7 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         factor = UNITS["strain"][unit]
         text = f"is in {_STRAINS.get(factor, unit)}"
     elif dimension == "voltage":
-        if bar.excitation is None:
+        if not bar.excitation:
             raise UsageError(
                 f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
                 "(a number, volts)"
@@ -573,12 +571,11 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     text = "the time has too few digits to distinguish its samples: even steps are assumed"
     changes.add("read", text)
     # the last time is rounded like the others: a line gives the mean step
-    slope = np.polyfit(np.arange(len(time), dtype=float), time - time[0], 1)[0]
+    slope = np.polyfit(np.arange(len(time)), time - time[0], 1)[0]
     return time[0] + slope * np.arange(len(time)), raw
 
 
 def _is_even(time: Array, tolerance: float) -> bool:
-    """Whether a time rises at every sample, by steps within a share of their median."""
-    steps = np.diff(time)
+    """Whether a time rises by steps within a share of their median."""
     step = _step(time)
-    return bool((steps > 0.0).all() and np.abs(steps - step).max() <= tolerance * step)
+    return bool((np.abs(np.diff(time) - step) <= tolerance * step).all())

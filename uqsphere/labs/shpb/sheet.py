@@ -1,7 +1,5 @@
 """The laboratory sheet of a test: one HTML page, and the forces and the pulse as CSV."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path
@@ -42,7 +40,7 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
         lines += [("", "doubt", doubt) for doubt in peak.doubts]
     lines += [("not given", "", reason) for reason in test.withheld]
     lines += [("note", "", note) for note in test.notes]
-    if test.energies is not None:
+    if test.energies:
         waves = {name: f"{energy:.4g} J" for name, energy in test.energies.items()}
         absorbed = waves.pop("absorbed")
         text = ", ".join(f"{energy} {name}" for name, energy in waves.items())
@@ -116,7 +114,7 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
     return {"forces.csv": csv_text(forces), "pulse.csv": csv_text(pulse), "sheet.html": sheet}
 
 
-def _draw_forces(axes: Axes, test: Reading) -> None:
+def _draw_forces(axes: "Axes", test: Reading) -> None:
     for face, course in test.forces.items():
         part = course.part(slice(None, None, max(1, len(course.force) // 2000)))
         name, colour = _DRAWN[face]

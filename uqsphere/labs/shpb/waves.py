@@ -190,10 +190,9 @@ def read_test(record: Record) -> Reading:
 def _window(record: Record, arrivals: Arrivals) -> _Window:
     """The samples of both faces; UsageError for too few of the transmitted wave."""
     incident = record.incident
-    receiving = record.receiving
     wave = incident.wave
     aligned = record.document.record.aligned
-    count = _known_samples(receiving, int(arrivals.to_b), aligned)
+    count = _known_samples(record.receiving, int(arrivals.to_b), aligned)
     if count < _FEWEST:
         raise UsageError(
             f"{max(count, 0)} samples of the transmitted wave, {_FEWEST} are required: the record "
@@ -305,10 +304,9 @@ def _near_face(
     after = record.reflected
     bar = before.bar
     doubt = ""
-    alive = np.zeros(count)
-    alive[: window.alive] = 1.0
+    alive = np.arange(count) < window.alive
     incident = np.zeros(count)
-    incident[: window.alive] = before.strain[window.start : window.start + window.alive]
+    incident[alive] = before.strain[window.start :][: window.alive]
     # where the two waves overlap neither can be moved by itself
     moves = asked.dispersion and window.whole
     if moves:
@@ -317,8 +315,7 @@ def _near_face(
     if asked.aligned and asked.polarity == "auto" and not record.shared:
         body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
         if reflected[body].mean() <= 0.0:
-            text = "has the sign of the incident wave; it is taken as tension"
-            note(after, "sign", text)
+            note(after, "sign", "has the sign of the incident wave; it is taken as tension")
             force = -bar.stiffness * (incident + reflected)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
@@ -375,9 +372,9 @@ def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
     )
     stiffness = incident.bar.stiffness
     check_bending(peaks, "A", stiffness * spread, step, stiffness * incident.wave.peak)
-    for text in (*peaks["A"].doubts, *peaks["B"].doubts):
+    for text in peaks["A"].doubts + peaks["B"].doubts:
         if text not in peaks["mean"].doubts:
-            peaks.doubt(["mean"], text)
+            peaks.doubt("mean", text)
 
 
 def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float | None, float]:
@@ -398,7 +395,7 @@ def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float |
 def _pulse(incident: Signal, moves: bool) -> Array:
     """The incident wave, at face A if it `moves`, compression positive, from rest to rest."""
     wave = incident.wave
-    pulse: Array = -incident.strain[wave.start : wave.end + wave.lead]
+    pulse = -incident.strain[wave.start : wave.end + wave.lead]
     # parabolas over half the rise follow the pulse and leave most of the noise
     if 8 <= wave.rising < len(pulse):
         pulse = savgol_filter(pulse, 2 * (wave.rising // 4) + 1, 2)

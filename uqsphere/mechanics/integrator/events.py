@@ -256,9 +256,9 @@ def _deepest(s, j, m, end, deepest):
 
 @compiled
 def _highest(s, j, kind, end, highest):
-    """Largest value in [0, end] of a function of both faces, or `highest` if that is larger.
+    """Largest size in [0, end] of a function of both faces, or `highest` if that is larger.
 
-    Of the difference of the forces the size counts.
+    Only the difference of the forces may be negative.
     """
     b = LANES + j
     width = end / POINTS
@@ -268,12 +268,10 @@ def _highest(s, j, kind, end, highest):
         at_a = (s.at[i, j], s.rate[i, j])
         at_b = (s.at[i, b], s.rate[i, b])
         right, right_slope = _both(s, j, kind, at_a, at_b)
+        highest = max(highest, abs(right))
         sign = 1.0
-        if kind == DIFFERENCE:
-            highest = max(highest, abs(right))
-            if left + right < 0.0:
-                sign = -1.0
-        highest = max(highest, right)
+        if left + right < 0.0:
+            sign = -1.0
         bound = highest_between(
             sign * left, sign * left_slope * width, sign * right, sign * right_slope * width
         )
@@ -477,7 +475,7 @@ def _note_approaches(s, j, ends):
         place = -1.0
         # faces that are alike share the largest approach so far
         to = face if s.has_laws else FACE_A
-        if s.has_laws and face_yielded(s, m):
+        if face_yielded(s, m):
             if s.spring[m] == 0.0:
                 place = ends  # on virgin loading it is at its deepest at the end
         elif s.top[m] > lane.peak[to]:
@@ -513,8 +511,7 @@ def _bound(s, j, kind):
         above, _ = _both(s, j, kind, top_a, (s.floor[b], 0.0))
         below, _ = _both(s, j, kind, (s.floor[j], 0.0), top_b)
         return max(above, -below)
-    most, _ = _both(s, j, kind, top_a, top_b)
-    return most
+    return _both(s, j, kind, top_a, top_b)[0]
 
 
 #: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance

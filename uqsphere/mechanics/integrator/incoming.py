@@ -102,7 +102,8 @@ def heard(lane, trip):
 
 
 @compiled
-def _ended(s, j, made, n):
+def step_end(s, j, made, n):
+    """Time at which a kept step ended."""
     kept = made[j, n & (s.ring - 1)]
     return kept.began + kept.holds
 
@@ -123,17 +124,17 @@ def echo_steps(s, j, made):
             lane.first[bar] = -1
             continue
         k = max(lane.first[bar], 0)
-        while k < newest and _ended(s, j, made, k) <= begin + near:
+        while k < newest and step_end(s, j, made, k) <= begin + near:
             k += 1
         lane.first[bar] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
         if not lane.single:
             k = min(k + 1, newest)
-        h = min(h, max(_ended(s, j, made, k) - begin, 0.1 * h))
+        h = min(h, max(step_end(s, j, made, k) - begin, 0.1 * h))
     for bar in range(2):
         k = lane.first[bar]
         if k >= 0:
-            while k < newest and _ended(s, j, made, k) < time - lane.trips[bar] + h - near:
+            while k < newest and step_end(s, j, made, k) < time - lane.trips[bar] + h - near:
                 k += 1
             lane.last[bar] = k
     s.h[j] = s.h[LANES + j] = h

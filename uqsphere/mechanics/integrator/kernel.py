@@ -117,8 +117,7 @@ def _leave(s, j, made, out):
         return
     out[r].steps = lane.count
     if math.isnan(lane.ended):
-        last = made[j, (lane.count - 1) & (s.ring - 1)]
-        lane.ended = last.began + last.holds
+        lane.ended = incoming.step_end(s, j, made, lane.count - 1)
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
     if not s.rigged and lane.end == math.inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
@@ -290,35 +289,17 @@ def _choose(s, j):
     """
     lane = s.lane[j]
     lane.why = End.SERIES
-    lane.switched = 0
     theta = min(s.theta[j], 1.0)
     left = lane.stop - lane.time
     if lane.touching:
         theta = 1.0
         s.wrong_allowed[j] = math.inf
         events.step_from_touch(s, j)
-    elif lane.by_law:
-        lane.switched = _against_branch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
     elif 2.0 * theta * s.h[j] > left:
         theta = min(theta, 0.5 * left / s.h[j])
     s.theta[j] = s.theta[LANES + j] = theta
-
-
-@compiled
-def _against_branch(s, j):
-    """Faces (bits) that what jumped has turned against their branch, unless they are at rest where
-    both meet.
-    """
-    lane = s.lane[j]
-    wrong = 0
-    for face in range(2):
-        m = face * LANES + j
-        rests = s.turned_at[m] == lane.time and s.turns[m] >= MOST_TURNS
-        if not rests and wrong_branch(s, m, s.h[j], 1e-4 * s.error[j] * s.size[m]):
-            wrong |= 1 << face
-    return wrong
 
 
 # --- holds
@@ -330,8 +311,7 @@ def _holds(s, j):
     shorter, or the row given up.
     """
     lane = s.lane[j]
-    if lane.switched:
-        _change_branch(s, j)
+    if lane.by_law and not lane.touching and _change_branch(s, j):
         return False
     if s.has_laws and lane.touching:
         reached = within_spring(s, j)
@@ -364,17 +344,24 @@ def _holds(s, j):
 
 @compiled
 def _change_branch(s, j):
-    """Bring faces to their other branch, on which the step is made again."""
+    """Bring faces that what jumped has turned against their branch to the other one, on which the
+    step is made again; whether there are any.
+
+    Faces at rest where both branches meet stay.
+    """
     lane = s.lane[j]
-    s.error[j] = min(s.error[j], s.closer * s.local)
-    for face in range(2):
-        m = face * LANES + j
-        if lane.switched & (1 << face):
-            if s.turned_at[m] != lane.time:
-                s.turns[m] = 0.0
+    beyond = 1e-4 * s.error[j]
+    changed = False
+    for m in range(j, PAIR, LANES):
+        if s.turned_at[m] != lane.time:
+            s.turns[m] = 0.0
+        if s.turns[m] < MOST_TURNS and wrong_branch(s, m, s.h[j], beyond * s.size[m]):
             s.turns[m] += 1.0
-            s.x[0, m] = switch(s, m, s.x[0, m])
             s.turned_at[m] = lane.time
+            s.x[0, m] = switch(s, m, s.x[0, m])
+            s.error[j] = min(s.error[j], s.closer * s.local)
+            changed = True
+    return changed
 
 
 # --- keep and turn
@@ -442,7 +429,6 @@ def _turn(s, j, ending, made):
     jump.
     """
     lane = s.lane[j]
-    reaches = records.approach_after_loss(s, j, ending)
     ahead = math.nan
     at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     at_stop = at_stop and lane.why < End.CONTACT
@@ -453,12 +439,12 @@ def _turn(s, j, ending, made):
     if s.rigged and not lane.touching:
         ahead = events.next_touch(s, j)
     _propose(s, j, ending, at_stop, ahead)
-    lane.fate = _fate(s, j, at_stop, ahead, reaches, made)
+    lane.fate = _fate(s, j, ending, at_stop, ahead, made)
     return at_stop and lane.fate == GOES_ON
 
 
 @compiled(inline=True)
-def _fate(s, j, at_stop, ahead, reaches, made):
+def _fate(s, j, ending, at_stop, ahead, made):
     """Status with which the row of a lane ends where it stands now, or `GOES_ON`."""
     lane = s.lane[j]
     if lane.why == End.RECORD:
@@ -468,7 +454,7 @@ def _fate(s, j, at_stop, ahead, reaches, made):
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
         records.note_duration(s, j, 0.0)
-        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, reaches, made):
+        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, made):
             return tracked.OK
     if at_stop and lane.time >= lane.end:
         if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:

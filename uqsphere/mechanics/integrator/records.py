@@ -23,7 +23,8 @@ import math
 from . import tracked
 from .compiled import compiled
 from .events import OF_BOTH, approach_of, first_at, follows, highest_between
-from .faces import face_yielded, largest_approach, largest_force, stored_energy
+from .faces import largest_approach, largest_force, stored_energy
+from .incoming import step_end
 from .tracked import (
     CELLS,
     DIFFERENCE,
@@ -38,7 +39,6 @@ from .tracked import (
     ORDER,
     PAIR,
     SHARE,
-    End,
 )
 
 #: parts of a step of which a wave is bounded one by one
@@ -98,10 +98,7 @@ def _bound_waves(s, j, bar, made):
         begin = 0.0
         count = 1
     n = max(lane.first[bar], 0)
-    while n < newest:
-        kept = made[j, n & (s.ring - 1)]
-        if kept.began + kept.holds > begin:
-            break
+    while n < newest and step_end(s, j, made, n) <= begin:
         n += 1
     for step in range(n, newest + 1):
         kept = made[j, step & (s.ring - 1)]
@@ -168,10 +165,7 @@ def _largest_squeeze(s, j):
     for m in range(j, PAIR, LANES):
         if s.spring[m] == 0.0:
             return 0.0, 1.0
-        elastic_to = s.unit_force[m]
-        if face_yielded(s, m):
-            elastic_to = s.peak_force[m]
-        force = min(force, elastic_to)
+        force = min(force, s.peak_force[m])
         soft = min(soft, s.spring[m])
         stiff = max(stiff, s.spring[m])
     approach = (force / stiff) ** (2.0 / 3.0)
@@ -179,14 +173,15 @@ def _largest_squeeze(s, j):
 
 
 @compiled
-def approach_after_loss(s, j, theta):
-    """Approach that the sphere's own speed gives one face where a step ends with the loss of the
-    other; 0 if that falls already.
+def _approach_after_loss(s, j, theta):
+    """Approach that the sphere's own speed gives one face where the step ended, at theta, with the
+    loss of the other; 0 if that falls already.
     """
     lane = s.lane[j]
     m = (1 - lane.side) * LANES + j
-    x, slope = approach_of(s, m, theta)
-    if lane.why != End.CONTACT or s.spring[m] == 0.0 or x <= 0.0 or slope <= 0.0:
+    x = s.x[0, m]
+    _, slope = approach_of(s, m, theta)
+    if s.spring[m] == 0.0 or x <= 0.0 or slope <= 0.0:
         return 0.0
     rate = slope / s.h[j]
     energy = lane.mass * rate * rate
@@ -196,17 +191,19 @@ def approach_after_loss(s, j, theta):
 
 
 @compiled
-def no_harder_squeeze(s, j, alone, made):
+def no_harder_squeeze(s, j, theta, made):
     """Whether the faces of two bars can no longer squeeze the sphere harder than they have, at a
     loss of contact.
 
-    alone: what the sphere reaches at the other face alone.  False where it cannot be told: while
+    theta: at which the step ended.  False where it cannot be told: while
     the pulse comes in, a face yields, or a far end has R < 0.
     """
     lane = s.lane[j]
     largest, stiffness = _largest_squeeze(s, j)
     squeeze = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
-    if lane.time < lane.pulse_end or squeeze > largest or alone > 2.0 * largest:
+    if lane.time < lane.pulse_end or squeeze > largest:
+        return False
+    if _approach_after_loss(s, j, theta) > 2.0 * largest:
         return False
     highest = 0.0
     for bar in range(2):

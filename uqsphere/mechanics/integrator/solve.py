@@ -167,8 +167,8 @@ def thread_count(threads: int | None = None) -> int:
             raise ValueError(f"threads must be at least 1, found {threads}")
         return threads
     if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return max(1, os.cpu_count() or 1)
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def scaled_arguments(scene: Scene, rows: Places) -> Rows:
@@ -177,7 +177,6 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
     time = scales.time
     pulse = scene.pulse
     echoing = scene.reflections[rows] != 0.0
-    breaks = pulse.breaks[rows] / time[:, None]
     powers = time[:, None] ** np.arange(4)
     poles = np.zeros((len(rows), 2), tracked.POLE)
     poles["stiffness"] = 1.0
@@ -201,7 +200,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
         mass=scales.mass_number,
         ends=scene.reflections[rows],
         round_trips=np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
-        breaks=breaks,
+        breaks=pulse.breaks[rows] / time[:, None],
         coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
         frequencies=pulse.frequency[rows] * time,
         horizon=scene.record_end[rows] / time,

@@ -214,7 +214,7 @@ PATH = np.dtype(
 
 #: what the kernel knows of the row in a lane, one field a line: its unit if it has one, what it is,
 #: and which function writes it.  Times over t_c, approaches over alpha_c, forces over P_c, speeds
-#: over their scale (theory, section 4); "bits" count faces
+#: over their scale (theory, section 4)
 LANE = np.dtype(
     [
         *_fields(
@@ -231,7 +231,6 @@ LANE = np.dtype(
             "single",  # 1: an echo is read from one step; enter, holds, move_on
             "why",  # what ends it, see End; choose, after_step
             "side",  # at which face; after_step
-            "switched",  # bits: faces on the wrong branch; choose
             # the faces: law, branch, and what stands at the pole
             "by_law",  # 1 where a force is no longer x^(3/2); enter, move_on
         ),
@@ -352,8 +351,8 @@ STATE = np.dtype(
             "start",  # terms of that without x or y, at the start; start_series
             "inverse",  # 1/(y + base) there, 0 without logarithm; start_series
             "half",  # 1/(2 y) there; expand
-            "turned_at",  # t_c; when the branch was last found wrong; holds
-            "turns",  # how often at that time; holds
+            "turned_at",  # t_c; when the branch was last found wrong; change_branch
+            "turns",  # how often at that time; change_branch
             "gives",  # zeta, 1 for a bar; enter
             "lightness",  # 1/mu_i of a body that moves freely; enter
             "there",  # 0 where nothing stands at the pole; enter
