@@ -34,19 +34,14 @@ def test_values_of_a_known_curve() -> None:
         assert not 0.05 < p < 0.95 or 1e-4 < row[3] - row[2] < 0.01
 
 
-def test_the_error_of_expansions_at_the_same_points_is_that_of_one_more() -> None:
+def test_given_ends_are_those_of_the_curve_and_of_its_values() -> None:
     exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
-    same = np.repeat(lognormal(GRID)[:, None], 8, axis=1)
-    moved = same.copy()
-    moved[:, 3] = lognormal(GRID * 1.1)
-    widths = []
-    for folds in (None, same, moved):
-        found = fragility(GRID, exact, (0.5,), samples=1000, folds=folds)
-        widths.append(found.values[0.5].half_width)
-    assert widths[1] == pytest.approx(widths[0], abs=1e-12)
-    # the standard deviation of the eight is ln(1.1)/sqrt(8)
-    error = MEDIAN * math.log(1.1) / math.sqrt(8.0) * 2.365 * math.sqrt(1.0 + 1.0 / 8.0)
-    assert widths[2] == pytest.approx(error, rel=0.02)
+    ends = lognormal(GRID / 1.1), lognormal(GRID * 1.05)
+    found = fragility(GRID, exact, (0.5,), samples=1000, ends=ends)
+    assert np.array(found.curve)[:, 2:] == pytest.approx(np.transpose(ends))
+    median = found.values[0.5]
+    assert median.low == pytest.approx(MEDIAN / 1.05, rel=1e-3)
+    assert median.high == pytest.approx(MEDIAN * 1.1, rel=1e-3)
 
 
 def test_falling_curves_answer_the_same_questions() -> None:

@@ -21,7 +21,7 @@ from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, carriers, fold_spread, probability_ends, spread, spreads
+from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
 from uqsphere.uq.fitting import STRENGTHS, fitted_law, is_fitted, possible_laws, series_behind
 from uqsphere.uq.joint import FREE
 from uqsphere.uq.limit_state import make_union
@@ -349,8 +349,8 @@ class Curves:
         base = self.base(limit)
         carried_by = self._carrying(limit)
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
-        if self.line.folds:
-            curves = self._by_folds(limit, curves)
+        if self.line.compared is not None:
+            curves = self._by_rows(limit, base)
         doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
@@ -358,27 +358,21 @@ class Curves:
                 return replace(doubt, margin=None)
         return doubt
 
-    def _by_folds(self, limit: Limit, curves: Sequence[Array]) -> list[Array]:
-        """Curves (K,) of a limit by a slow model, moved along the free number to the safe side by
-        what its expansions disagree by on where the target is missed.
+    def _by_rows(self, limit: Limit, base: Array) -> list[Array]:
+        """The unsafe ends (K,) of probabilities (2, K, R) of a limit by a slow model: what its rows
+        leave open of every limit that adds up with it is added.
         """
-        folds = Curves(aim=self.aim, line=replace(self.line, samples=self.line.folds, folds={}))
-        margins = [self.margin(limit, curve) for curve in folds.base(limit)[1].T]
-        places = self.line.places
-        safe, unsafe = places[0], places[-1]
-        if not self.unsafe_above(curves[1]):
-            safe, unsafe = unsafe, safe
-        missed_at = []
-        for margin in margins:
-            if margin is None:
-                missed_at.append(safe)
-            elif margin == math.inf:
-                missed_at.append(unsafe)
-            else:
-                missed_at.append(self.line.place_of(margin))
-        further = math.copysign(fold_spread(np.array(missed_at)), unsafe - safe)
-        there = np.clip(places + further, places[0], places[-1])
-        return [special.ndtr(self.line.interpolated(score(curve))(there)) for curve in curves]
+        adding = [limit]
+        if self.adds_up(limit):
+            every = (*self.aim.limits, *self.aim.untargeted)
+            adding += [other for other in every if other != limit and self.adds_up(other)]
+        away = []
+        for other in adding:
+            means = self.base(other)[0]
+            ends = self.line.ends_by_rows(other, means)[self.aim.survive]
+            away.append(ends - means.mean(axis=1))
+        alone, joint = base.mean(axis=2)
+        return [alone + away[0], np.clip(joint + np.sum(away, axis=0), 0.0, 1.0)]
 
     def _ends(self, limit: Limit, means: Array, carried_by: Sequence[float]) -> Array:
         """The unsafe ends (K,) of the numerical intervals of probabilities (K, R) of a limit that

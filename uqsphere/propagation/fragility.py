@@ -19,12 +19,12 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-from uqsphere.uq.estimate import REPLICATES, carriers
+from uqsphere.uq.estimate import REPLICATES, carriers, count_bound
 
 from .design import VALUES, Design
 from .free_number import demand_factor, grid
 from .limits import state_of
-from .line import evaluated_at
+from .line import ends_by_rows, evaluated_at
 from .tables import Tables
 
 METHOD = "the same points at every value"
@@ -43,8 +43,15 @@ def fragility(tables: Tables) -> Rows:
     for limit in design.judged.limits:
         subject = design.subject(limit)
         fitted = curve_of(tables, limit)
-        for row in fitted.curve:
-            yield number_row(subject, "curve", *row, method=METHOD, runs=runs)
+        for value, p, low, high in fitted.curve:
+            outer = {}
+            if tables.compared is not None:
+                missed = count_bound(tables.compared.sample.count)
+                outer["low_unseen"] = max(low - missed, 0.0)
+                outer["high_unseen"] = min(high + missed, 1.0)
+            yield number_row(
+                subject, "curve", value, p, low, high, method=METHOD, runs=runs, **outer
+            )
         for p, estimate in fitted.values.items():
             unit = lookup(design.free_quantity).unit
             yield estimate_row(subject, "margin", estimate, p, unit=unit, runs=runs)
@@ -69,20 +76,20 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     design = tables.design
     margins = design.study.margins
     assert margins is not None
-    folds = None
     line = tables.line
     if margins.limit is not None:
         line = dict.fromkeys(grid(margins), tables.sample)
-    elif tables.fold_line:
-        folds = _along(design, tables.fold_line, limit)[0]
     means, carrying = _along(design, line, limit)
+    ends = None
+    if tables.compared is not None:
+        ends = ends_by_rows(design, tables.compared, limit, [*line], means)
     return fragility_of(
         np.array([*line]),
         np.clip(means, 0.0, 1.0),
         targets or sorted({*margins.for_probability, limit.allowable}),
         samples=[rows.count for rows in line.values()],
         carrying=carrying,
-        folds=folds,
+        ends=ends,
     )
 
 

@@ -7,23 +7,24 @@ their spread is the error.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, bundle, frozen, special
+from uqsphere.arrays import Array, Places, Values, bundle, frozen, special
 from uqsphere.errors import StudyError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
 from uqsphere.uq import LimitState, Sample
+from uqsphere.uq.corrected import corrected_probability
 
 from .design import Design
-from .free_number import demand_factor, grid, moved
+from .free_number import demand_factor, grid, moved, shares_of
 from .limits import state_of
-from .tables import Tables, answered, evaluate, input_rows, with_number
+from .tables import Compared, Tables, answered, evaluate, input_rows, with_number
 
 #: points of a replicate, where every value of the free number has the same rows
 _SHARED = 1024
@@ -37,12 +38,12 @@ class Line:
     """Rows at rising values of the free number, or at the plan alone.
 
     samples : the rows at each of K values; at nan for the plan
-    folds : what each expansion of a slow model predicts at the same points; else empty
+    compared : the rows of a slow model that they are predicted from
     """
 
     design: Design
     samples: Mapping[float, Sample]
-    folds: Mapping[float, Sample] = field(default_factory=dict)
+    compared: Compared | None = None
 
     @cached_property
     def values(self) -> tuple[float, ...]:
@@ -101,6 +102,13 @@ class Line:
         factors = [demand_factor(margins, limit, value) for value in self.values]
         return replace(state, demands=state.demands * np.repeat(factors, self._counts))
 
+    def ends_by_rows(self, limit: Limit, means: Array) -> tuple[Array, Array]:
+        """Both ends (K,) of the interval of the mean exceedance (K, R) of a limit by a slow
+        model.
+        """
+        assert self.compared is not None
+        return ends_by_rows(self.design, self.compared, limit, self.values, means)
+
     def by_value(self, rows: Array) -> list[Array]:
         """Rows (R, N) apart, a part for each value."""
         return np.split(rows, np.cumsum(self._counts)[:-1], axis=1)
@@ -125,6 +133,32 @@ class Line:
         from scipy.interpolate import PchipInterpolator
 
         return PchipInterpolator(self.places, scores)
+
+
+def ends_by_rows(
+    design: Design, compared: Compared, limit: Limit, values: Sequence[float], means: Array
+) -> tuple[Array, Array]:
+    """Ends (K,) of the intervals of the mean exceedance (K, R) of a limit that is predicted at
+    values of the free number, by the rows of the model that are nearest to each: the square root of
+    their number, which lets an average follow the curve while its noise falls.
+    """
+    margins = design.study.margins
+    assert margins is not None
+    state = state_of(design, limit, compared.sample)
+    near: Places | slice = slice(None)
+    influence = []
+    expected = []
+    for value in values:
+        exceeded = state.tails(demand_factor(margins, limit, value))[0]
+        if compared.values is not None:
+            apart = shares_of(margins, compared.values) - shares_of(margins, np.array(value))
+            near = np.argsort(np.abs(apart))[: math.isqrt(len(apart))]
+        answered, *predicted = exceeded[:, near]
+        influence.append(answered - np.mean(predicted, axis=0))
+        expected.append(np.var(predicted, axis=0).mean())
+    _, low, high = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
+    middle = means.mean(axis=1)
+    return np.minimum(low, middle), np.maximum(high, middle)
 
 
 def exceedance(state: LimitState, survive: bool) -> Array:
@@ -156,7 +190,7 @@ def line_of(tables: Tables) -> Line | None:
         samples = dict.fromkeys(grid(margins), tables.sample.head(_SHARED))
     if not samples:
         return None
-    return Line(design=tables.design, samples=samples, folds=tables.fold_line)
+    return Line(design=tables.design, samples=samples, compared=tables.compared)
 
 
 def evaluated_at(

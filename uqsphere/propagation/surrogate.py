@@ -8,7 +8,7 @@ corrected by the N rows.  An event rarer than about 3/N is not in N rows: every 
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,8 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
-from uqsphere.uq.response import FOLDS, Response, cross_fit
+from uqsphere.uq.corrected import NODES
+from uqsphere.uq.response import Response, cross_fit
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
@@ -30,7 +31,16 @@ from .fragility import margin_and_scale
 from .free_number import grid, moved, shares_of, values_at
 from .grow import accuracies, first_rows
 from .progress import Progress
-from .tables import Slow, Tables, check_failures, check_sizes, evaluate, input_rows, with_number
+from .tables import (
+    Compared,
+    Slow,
+    Tables,
+    check_failures,
+    check_sizes,
+    evaluate,
+    input_rows,
+    with_number,
+)
 
 #: rows that measure what the model costs, and rows of a design at most and at least
 PROBE, MOST_ROWS, LEAST_ROWS = 8, 1024, 16
@@ -168,16 +178,20 @@ def tables_of(
         points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
     tables = _predicted(design, rows)
+    margins = design.study.margins
+    if margins is not None and margins.limit is not None and tables.predicted is not None:
+        by_rows = Compared(sample=_compared(tables.rows, [*tables.responses.values()]))
+        tables = replace(tables, compared=by_rows)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
-            line, fold_line = _lines(design, model, most)
-            tables = replace(tables, line=line, fold_line=fold_line)
+            line, compared = _line(design, model, most)
+            tables = replace(tables, line=line, compared=compared)
         except Interrupted:
             stopped = "interrupted"
     if tables.line:
-        margins = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
-        tables = replace(tables, predicted_from=most, margins=margins)
+        accurate = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
+        tables = replace(tables, predicted_from=most, margins=accurate)
     tables = replace(tables, errors=[*accuracies(tables)])
     if not stopped:
         stopped = "budget" if tables.inaccurate else "accurate"
@@ -272,16 +286,29 @@ def _with_predictions(
     return points.with_answers([*responses], plain), points.with_answers([*responses], moved)
 
 
-def _lines(
+def _compared(rows: Sample, responses: Sequence[Response]) -> Sample:
+    """Rows (1, n), and what expansions that have not seen them predict, with equally likely
+    residuals: (1 + J, n).
+    """
+    parts = (np.arange(NODES) + 0.5) / NODES
+    predicted = [
+        response.levels + np.quantile(response.residuals, parts)[:, None] for response in responses
+    ]
+    answers = np.concatenate([rows.answers, np.stack(predicted, axis=2)])
+    points = (np.repeat(part, len(answers), axis=0) for part in (rows.scores, rows.inputs))
+    return Sample.at(rows.names, *points).with_answers(rows.quantities, answers)
+
+
+def _line(
     design: Design, model: Model, count: int
-) -> tuple[Mapping[float, Sample], Mapping[float, Sample]]:
-    """Predicted columns at values of the free number, by expansions in the inputs and in it: with
-    residuals on them, and of every expansion at the same points.
+) -> tuple[Mapping[float, Sample], Compared | None]:
+    """Predicted columns at values of the free number, by expansions in the inputs and in it, and
+    the rows that they are fitted to.
     """
     margins = design.study.margins
     names = design.drawn.names
     if margins is None or count < LEAST_ROWS:
-        return {}, {}
+        return {}, None
     points = _design_points(design, count, 1, "slow line")
     values = values_at(margins, points[:, -1])
     normals = points[:, :-1]
@@ -296,19 +323,14 @@ def _lines(
     good = np.isfinite(answers).all(axis=1)
     enough = good.sum() >= LEAST_ROWS
     if not enough or (not good.all() and lie_apart(places[~good], places[good])):
-        return {}, {}
+        return {}, None
     fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
     if not all(response.usable for response in fits):
-        return {}, {}
+        return {}, None
     responses = dict(zip(rows.quantities, fits, strict=True))
     table = design.points(LINE_POINTS)
-    # the first replicates behind each other, for each of the expansions
-    first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
-    shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
     line = {}
-    fold_line = {}
     for value in grid(margins):
         germ = 2.0 * shares_of(margins, value) - 1.0
         line[value] = _with_predictions(design, table, responses, germ)[1]
-        fold_line[value] = _with_predictions(design, shared, responses, germ)[0]
-    return line, fold_line
+    return line, Compared(sample=_compared(rows.where(good), fits), values=values[good])

@@ -53,6 +53,18 @@ class Searched(NamedTuple):
 
 
 @bundle
+class Compared:
+    """Rows of a slow model beside what expansions that have not seen them predict.
+
+    sample : (1 + J, n) the model's answers, and J equally likely predictions
+    values : the free number (n,) of each row; None where it is a strength
+    """
+
+    sample: Sample
+    values: Array | None = None
+
+
+@bundle
 class Tables:
     """What was evaluated, how accurate it is, and what the rows of a cheap model answer.  Tables
     that grow are new tables.
@@ -69,7 +81,7 @@ class Tables:
     reached : (model runs, largest error over its requirement) at each size
     stopped : why the tables do not grow any more; empty while they do
     predicted_from : model runs that the line of a slow model is predicted from
-    fold_line : its line by each of the expansions, all at the same points: (folds, m)
+    compared : the rows that it is predicted from
     """
 
     design: Design
@@ -84,7 +96,7 @@ class Tables:
     reached: Sequence[tuple[int, float]] = ()
     stopped: Stop = ""
     predicted_from: int = 0
-    fold_line: Mapping[float, Sample] = field(default_factory=dict)
+    compared: Compared | None = None
 
     @property
     def rows(self) -> Sample:

@@ -153,7 +153,8 @@ class Corrected:
         if np.isin(predicted, (0.0, 1.0)).all():
             cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
         value, low, high = map(
-            float, _probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell)
+            float,
+            corrected_probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell),
         )
         missed = count_bound(self.runs)
         estimate = self._estimate(value, low, high)
@@ -204,7 +205,9 @@ class Corrected:
         )
         table = np.array([below(np.sort(values)) for values in predicted])
         influence = np.subtract(outputs[:, None] <= places, levels[:, None] <= places, dtype=float)
-        value, low, high = _probability(table, influence, expected, 1.0 / predicted.shape[1])
+        value, low, high = corrected_probability(
+            table, influence, expected, 1.0 / predicted.shape[1]
+        )
         value = np.mean(rising(value), axis=0)
         return places, value, np.minimum(rising(low)[0], value), np.maximum(rising(high)[1], value)
 
@@ -286,7 +289,7 @@ def _settled(levels: Array, influence: Array) -> tuple[float, float]:
     return median + float(correction), corrected
 
 
-def _probability(
+def corrected_probability(
     table: Array, influence: Array, expected: Values, cell: float
 ) -> tuple[Array, Array, Array]:
     """Values and ends (...) of probabilities: those of the replicates of the table (R, ...), known

@@ -8,17 +8,7 @@ import numpy as np
 from uqsphere.arrays import Array, Places, frozen, special
 
 from .describe import rising
-from .estimate import (
-    SURE,
-    Estimate,
-    absent,
-    between,
-    fold_spread,
-    freedom,
-    probability_ends,
-    spread,
-    spreads,
-)
+from .estimate import SURE, Estimate, absent, between, freedom, probability_ends, spread, spreads
 
 METHOD = "common random numbers, monotone interpolation"
 #: samples of a value in which a probability is expected to show at least, where they are counted
@@ -42,7 +32,7 @@ def fragility(
     *,
     samples: int | Sequence[int],
     carrying: Sequence[float] = (),
-    folds: Array | None = None,
+    ends: tuple[Array, Array] | None = None,
 ) -> Fragility:
     """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
     grid.
@@ -51,9 +41,9 @@ def fragility(
     below half a sample in all replicates together is not told from zero.  The probability may rise
     or fall with the value.  A value is absent where the probability does not pass through it
     between the ends of the grid, and where the curve turns back by more than its noise and may pass
-    through it more than once.  `folds` (K, F) are probabilities of expansions at the same points:
-    what their values differ by is the error of one expansion more.  `carrying` (K,): how many
-    samples carry a probability, or its complement if fewer do; all where it is not given.
+    through it more than once.  `carrying` (K,): how many samples carry a probability, or its
+    complement if fewer do; all where it is not given.  `ends` (K,) each are those of the
+    probabilities' intervals, where the replicates do not show them.
     """
     replicates = probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
@@ -68,6 +58,8 @@ def fragility(
         error = spread(row) or spread(row, 1.0 / count)
         low, high, _ = probability_ends(p, q, error, replicates, count * replicates)
         curve.append([level, p, min(low, p), max(high, p)])
+    if ends is not None:
+        curve = np.column_stack([grid, probabilities.mean(axis=1), *ends]).tolist()
     # where a curve that has surely risen surely falls, or has fallen and rises
     signs = _sure_signs(np.diff(probabilities, axis=0))
     sure = np.flatnonzero(signs)
@@ -82,7 +74,7 @@ def fragility(
                 int(behind.sum()),
             )
         else:
-            values[target] = _value(grid, probabilities, target, behind, carrying, folds)
+            values[target] = _value(grid, probabilities, target, behind, carrying, ends)
     return Fragility(curve=curve, values=values)
 
 
@@ -129,11 +121,11 @@ def _value(
     target: float,
     behind: Places,
     carrying: Sequence[float],
-    folds: Array | None,
+    ends: tuple[Array, Array] | None,
 ) -> Estimate:
     """Value at the target: the ends are where the curve takes those of the probability there, which
-    has the spread of the replicates (Woodruff 1952), with the spread of folds and the error of
-    interpolation.
+    has the spread of the replicates (Woodruff 1952), or where given ends take the target, and the
+    error of interpolation.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -169,19 +161,18 @@ def _value(
     worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
     sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
+    if ends is not None:
+        sides = [centre, *(_crossings(places, end[:, None], target, least)[0] for end in ends)]
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * samples
     sides += [places[n] for n in (k - 1, k) if counted and shown[n, 0] < FEWEST]
-    further = 0.0
-    if folds is not None:
-        further = fold_spread(_crossings(places, folds, target, least))
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     every = np.unique([*range(0, grid.size, 2), grid.size - 1])
     other = _crossings(places[every], pooled[every], target, least[every])[0]
     between_points = np.nan_to_num(abs(other - centre)) / 4.0
     below, above = (
-        math.hypot(distance, further) + between_points
+        distance + between_points
         for distance in (centre - np.min(sides), np.max(sides) - centre)  # nan where one is
     )
     if not math.isfinite(below + above):
