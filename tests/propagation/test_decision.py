@@ -597,7 +597,8 @@ def test_a_plan_that_misses_its_target_is_not_called_safe_by_a_curve() -> None:
     assert decision.probability.low is not None
     assert decision.probability.low > 0.1
     assert decision.verdict in ("not met", "undecided")
-    assert decision.use is None
+    # P(a > -2) P(b > (10 - v)/0.3) is 0.1 at 9.62
+    assert decision.use is None or decision.use.value < 9.62
 
 
 def test_the_number_of_a_slow_model_allows_for_what_its_expansions_disagree_by() -> None:
