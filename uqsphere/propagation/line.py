@@ -20,6 +20,7 @@ from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
 from uqsphere.uq import LimitState, Sample
 from uqsphere.uq.corrected import corrected_probability
+from uqsphere.uq.estimate import fold_spread
 
 from .design import Design
 from .free_number import demand_factor, grid, moved, shares_of
@@ -140,7 +141,8 @@ def ends_by_rows(
 ) -> tuple[Array, Array]:
     """Ends (K,) of the intervals of the mean exceedance (K, R) of a limit that is predicted at
     values of the free number, by the rows of the model that are nearest to each: the square root of
-    their number, which lets an average follow the curve while its noise falls.
+    their number, which lets an average follow the curve while its noise falls; and by what the
+    expansions disagree by.
     """
     margins = design.study.margins
     assert margins is not None
@@ -156,9 +158,16 @@ def ends_by_rows(
         answered, *predicted = exceeded[:, near]
         influence.append(answered - np.mean(predicted, axis=0))
         expected.append(np.var(predicted, axis=0).mean())
-    _, low, high = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
+    _, *ends = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
     middle = means.mean(axis=1)
-    return np.minimum(low, middle), np.maximum(high, middle)
+    away = np.maximum(np.subtract(ends, middle) * np.array([[-1.0], [1.0]]), 0.0)
+    if compared.folds:
+        by_folds = [
+            state_of(design, limit, fold).tails()[0].mean(axis=1) for fold in compared.folds
+        ]
+        away = np.hypot(away, fold_spread(np.transpose(by_folds)))
+    low, high = np.clip([middle - away[0], middle + away[1]], 0.0, 1.0)
+    return low, high
 
 
 def exceedance(state: LimitState, survive: bool) -> Array:

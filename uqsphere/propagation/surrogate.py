@@ -21,7 +21,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
 from uqsphere.uq.corrected import NODES
-from uqsphere.uq.response import Response, cross_fit
+from uqsphere.uq.response import FOLDS, Response, cross_fit
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
@@ -329,8 +329,14 @@ def _line(
         return {}, None
     responses = dict(zip(rows.quantities, fits, strict=True))
     table = design.points(LINE_POINTS)
+    # the first replicates behind each other, for each of the expansions
+    first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
+    shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
     line = {}
+    folds = []
     for value in grid(margins):
         germ = 2.0 * shares_of(margins, value) - 1.0
         line[value] = _with_predictions(design, table, responses, germ)[1]
-    return line, Compared(sample=_compared(rows.where(good), fits), values=values[good])
+        folds.append(_with_predictions(design, shared, responses, germ)[0])
+    compared = Compared(sample=_compared(rows.where(good), fits), values=values[good], folds=folds)
+    return line, compared

@@ -58,10 +58,12 @@ class Compared:
 
     sample : (1 + J, n) the model's answers, and J equally likely predictions
     values : the free number (n,) of each row; None where it is a strength
+    folds : what every expansion predicts along it at the same points, (folds, m) each
     """
 
     sample: Sample
     values: Array | None = None
+    folds: Sequence[Sample] = ()
 
 
 @bundle
