@@ -4,9 +4,10 @@ points.
     python -m tests.campaigns.coverage [--seeds 200] [CASE...]
 
 Cases: granite, limestone, ishigami, rare (a black box with a far event in 0.2 % of its rows),
-slow (Ishigami's function as a slow model of 128 runs) and margin-N (a load at probabilities of
-exceedance, by a slow model of N runs, such as margin-64).  Printed by kind of answer: intervals
-that hold, over all, and their share.
+slow (Ishigami's function as a slow model of 128 runs), margin-N (a load at probabilities of
+exceedance, and these along the load, by a slow model of N runs, such as margin-64) and steep-N (one
+whose demand rises by a step).  Printed by kind of answer: intervals that hold, over all, and their
+share.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.special import ndtri
 from scipy.stats import qmc
 
 import uqsphere
 from uqsphere import Study
+from uqsphere.propagation.free_number import grid
 from uqsphere.study import load_study
 
 STUDIES = Path(__file__).parents[2] / "studies"
@@ -49,6 +52,12 @@ def demand(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {"y": x["load"] * x["factor"] + 0.3 * x["other"] ** 2}
 
 
+def steep(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The same with a step along the load, a twentieth of the range wide."""
+    step = 1.5 / (1.0 + np.exp(-(x["load"] * x["factor"] - 1.6) / 0.05))
+    return {"y": 0.4 * x["load"] + step + 0.3 * x["other"] ** 2}
+
+
 #: laws of `demand`, its strength, and the probabilities of exceedance of the margins
 DEMAND = {
     "factor": {"dist": "lognormal", "mean": 1.0, "cov": 0.2},
@@ -67,7 +76,7 @@ def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
             STUDIES / {"granite": "granite.toml", "limestone": "limestone_margin.toml"}[name]
         )
         return replace(study, seed=seed), None
-    if name.startswith("margin-"):
+    if name.startswith(("margin-", "steep-")):
         budget = {"evaluations": int(name.partition("-")[2]), "time": "1 h"}
         margins = {"solve": "load", "between": [0.5, 4.0], "for_probability": list(EXCEEDED)}
         study = Study(
@@ -78,7 +87,7 @@ def case(name: str, seed: int) -> tuple[Study, Callable[..., Any] | None]:
             margins=margins,
             analysis={"cost": "10 s", "budget": budget},
         )
-        return study, demand
+        return study, demand if name.startswith("margin-") else steep
     law, model = (NORMAL, far_event) if name == "rare" else (UNIFORM, ishigami)
     tables: dict[str, Any] = {
         "inputs": {f"x{k}": law for k in (1, 2, 3)},
@@ -114,13 +123,24 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
             for row in run.results.answers
             if row.value is not None
         }
-    if name.startswith("margin-"):
-        points = np.concatenate([qmc.Sobol(2, seed=k).random_base2(19) for k in range(4)])
-        inputs = case(name, 0)[0].inputs()
+    if name.startswith(("margin-", "steep-")):
+        points = np.concatenate([qmc.Sobol(2, seed=k).random_base2(17) for k in range(4)])
+        study, model = case(name, 0)
+        assert study.margins is not None
+        assert model is not None
+        inputs = study.inputs()
         x = dict(zip(inputs.names, inputs.physical(ndtri(points)).T, strict=True))
-        # the load at which a row fails: a quantile of it is the load at that probability
-        loads = (STRENGTH - 0.3 * x["other"] ** 2) / x["factor"]
-        return {("limits.high", "margin", p): float(np.quantile(loads, p)) for p in EXCEEDED}
+
+        def exceeded(load: float) -> float:
+            return float((model({**x, "load": load})["y"] > STRENGTH).mean())
+
+        truth = {
+            ("limits.high", "margin", p): brentq(lambda load, p=p: exceeded(load) - p, 0.5, 4.0)
+            for p in EXCEEDED
+        }
+        curve = {("limits.high", "curve", load): exceeded(load) for load in grid(study.margins)}
+        # below 3/N a probability is not in the interval
+        return truth | {key: p for key, p in curve.items() if 0.01 < p < 0.99}
     points = np.concatenate([qmc.Sobol(3, seed=k).random_base2(20) for k in range(4)])
     x = (
         ndtri(np.clip(points, 1e-16, 1.0 - 1e-16))
@@ -129,7 +149,7 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
     )
     y = (far_event if name == "rare" else ishigami)({f"x{k + 1}": x[:, k] for k in range(3)})["y"]
     strength = 1.2 if name == "rare" else 10.0
-    truth: dict[tuple[str, str, Any], float] = {
+    truth = {
         ("y", "mean", ""): float(y.mean()),
         ("y", "sd", ""): float(y.std()),
         ("limits.high", "failure_probability", ""): float((y > strength).mean()),
@@ -158,7 +178,6 @@ def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
                 continue
             if row.answer in (
                 "driver",
-                "curve",
                 "safety_factor",
                 "reliability_index",
                 "exceedance_probability",
