@@ -51,12 +51,14 @@ def fragility(
     counts = np.broadcast_to(samples, grid.shape)
     curve = []
     values = dict[float, Estimate]()
-    for level, row, count in zip(grid.tolist(), probabilities, counts, strict=True):
+    carried = carrying or [math.inf] * len(grid)
+    for level, row, count, by in zip(grid.tolist(), probabilities, counts, carried, strict=True):
         p = float(row.mean())
         q = (1.0 - row).mean()
         # counts that agree in all replicates are still known to one sample only
         error = spread(row) or spread(row, 1.0 / count)
-        low, high, _ = probability_ends(p, q, error, replicates, count * replicates)
+        worth = 1.0 + freedom(replicates, by)
+        low, high, _ = probability_ends(p, q, error, worth, count * replicates)
         curve.append([level, p, min(low, p), max(high, p)])
     if ends is not None:
         curve = np.column_stack([grid, probabilities.mean(axis=1), *ends]).tolist()
