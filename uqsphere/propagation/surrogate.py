@@ -321,9 +321,13 @@ def _line(
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     answers = rows.answers[0]
     good = np.isfinite(answers).all(axis=1)
-    enough = good.sum() >= LEAST_ROWS
-    if not enough or (not good.all() and lie_apart(places[~good], places[good])):
+    if good.sum() < LEAST_ROWS:
         return {}, None
+    if not good.all():
+        # the curve would be that of the rows that answered
+        counted = design.study.analysis.policy == "bound"
+        if counted or lie_apart(places[~good], places[good]):
+            return {}, None
     fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
     if not all(response.usable for response in fits):
         return {}, None
