@@ -25,7 +25,8 @@ from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import plan_of
 from uqsphere.propagation.tables import evaluate
 from uqsphere.propagation.verdict import aim_of, judge
-from uqsphere.results.types import Caveat, CaveatCode, Decision
+from uqsphere.report import summary
+from uqsphere.results.types import Caveat, CaveatCode, Decision, Kind
 from uqsphere.study import load_study, shipped_studies
 from uqsphere.uq import Estimate, Law, make_law
 
@@ -628,6 +629,39 @@ def test_the_number_of_a_slow_model_allows_for_what_its_expansions_disagree_by()
     # the interval holds both; the number was 2 % above what is right when it had no fold
     assert decision.use.value < 0.5 * (margin.low + margin.value)
     assert decision.use.value < 1.843
+
+
+@pytest.mark.parametrize("why", ["failed", "leaves"])
+def test_a_curve_that_is_not_known_is_not_one_that_keeps_its_target(why: str) -> None:
+    """Rows that fail, and may be failures, or a model that no expansion follows."""
+    scattered = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    study = Study(
+        inputs={"v": 1.0, "a": scattered, "b": scattered},
+        outputs="y",
+        limits={"high": limit("survive", 0.05, {"dist": "normal", "mean": 80.0, "sd": 4.0})},
+        margins={"solve": "v", "between": [0.5, 4.0]},
+        analysis={
+            "cost": "10 s",
+            "on_failure": "bound",
+            "budget": {"evaluations": 256, "time": "100 h"},
+        },
+    )
+
+    def odd(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        y = 40.0 + 2.0 * x["v"] + x["b"]
+        if why == "failed":
+            return {"y": np.where(1e4 * x["a"] % 1.0 < 0.05, np.nan, y)}
+        return {"y": y + 30.0 * np.sin(40.0 * x["a"] * x["b"])}
+
+    results = uqsphere.run(study, odd).results
+    (margin,) = results.where("limits.high", Kind.MARGIN)
+    assert margin.value is None
+    assert why in margin.note
+    assert not results.where("limits.high", Kind.CURVE)
+    text = " ".join(summary(results).split())
+    assert f"is not known: {margin.note}" in text
+    assert "whole range" not in text
+    assert "not crossed" not in text
 
 
 def test_a_caveat_of_the_other_aim_holds_nothing() -> None:

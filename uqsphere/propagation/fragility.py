@@ -19,7 +19,7 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-from uqsphere.uq.estimate import REPLICATES, carriers, count_bound
+from uqsphere.uq.estimate import REPLICATES, absent, carriers, count_bound
 
 from .design import VALUES, Design
 from .free_number import demand_factor, grid
@@ -34,7 +34,14 @@ def fragility(tables: Tables) -> Rows:
     """Curves and margins of every limit and failure mode."""
     design = tables.design
     margins = design.study.margins
-    if margins is None or (margins.limit is None and not tables.line):
+    if margins is None:
+        return
+    unit = lookup(design.free_quantity).unit
+    if margins.limit is None and not tables.line:
+        unknown = absent(tables.without_line, METHOD, tables.runs)
+        for limit in design.judged.limits:
+            subject = design.subject(limit)
+            yield estimate_row(subject, "margin", unknown, limit.allowable, unit=unit)
         return
     # those of the sample where the line moves no row
     along = sum(sample.size for sample in tables.line.values())
@@ -53,7 +60,6 @@ def fragility(tables: Tables) -> Rows:
                 subject, "curve", value, p, low, high, method=METHOD, runs=runs, **outer
             )
         for p, estimate in fitted.values.items():
-            unit = lookup(design.free_quantity).unit
             yield estimate_row(subject, "margin", estimate, p, unit=unit, runs=runs)
         allowed = fitted.values[limit.allowable]
         if not allowed.value or not planned or not limit.has_target:

@@ -177,16 +177,16 @@ def tables_of(
             )
         points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
-    tables = _predicted(design, rows)
+    slow = _predicted(design, rows)
+    tables: Tables = slow
     margins = design.study.margins
-    if margins is not None and margins.limit is not None and tables.predicted is not None:
-        by_rows = Compared(sample=_compared(tables.rows, [*tables.responses.values()]))
+    if margins is not None and margins.limit is not None and slow.predicted is not None:
+        by_rows = Compared(sample=_compared(slow.rows, [*slow.responses.values()]))
         tables = replace(tables, compared=by_rows)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
-            line, compared = _line(design, model, most)
-            tables = replace(tables, line=line, compared=compared)
+            tables = _with_line(tables, model, most)
         except Interrupted:
             stopped = "interrupted"
     if tables.line:
@@ -299,16 +299,16 @@ def _compared(rows: Sample, responses: Sequence[Response]) -> Sample:
     return Sample.at(rows.names, *points).with_answers(rows.quantities, answers)
 
 
-def _line(
-    design: Design, model: Model, count: int
-) -> tuple[Mapping[float, Sample], Compared | None]:
-    """Predicted columns at values of the free number, by expansions in the inputs and in it, and
-    the rows that they are fitted to.
+def _with_line(tables: Tables, model: Model, count: int) -> Tables:
+    """The tables with columns that are predicted at values of the free number, by expansions in the
+    inputs and in it, and the rows that they are fitted to; or why there are none.
     """
+    design = tables.design
     margins = design.study.margins
     names = design.drawn.names
-    if margins is None or count < LEAST_ROWS:
-        return {}, None
+    assert margins is not None
+    if count < LEAST_ROWS:
+        return replace(tables, without_line=f"at least {LEAST_ROWS} model runs more are needed")
     points = _design_points(design, count, 1, "slow line")
     values = values_at(margins, points[:, -1])
     normals = points[:, :-1]
@@ -321,16 +321,16 @@ def _line(
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     answers = rows.answers[0]
     good = np.isfinite(answers).all(axis=1)
-    if good.sum() < LEAST_ROWS:
-        return {}, None
     if not good.all():
         # the curve would be that of the rows that answered
         counted = design.study.analysis.policy == "bound"
-        if counted or lie_apart(places[~good], places[good]):
-            return {}, None
+        if counted or good.sum() < LEAST_ROWS or lie_apart(places[~good], places[good]):
+            lost = f"{(~good).sum()} of {count} model runs there failed"
+            return replace(tables, without_line=lost)
     fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
-    if not all(response.usable for response in fits):
-        return {}, None
+    for response in fits:
+        if not response.usable:
+            return replace(tables, without_line=f"the expansion there is {response.reason}")
     responses = dict(zip(rows.quantities, fits, strict=True))
     table = design.points(LINE_POINTS)
     # the first replicates behind each other, for each of the expansions
@@ -343,4 +343,4 @@ def _line(
         line[value] = _with_predictions(design, table, responses, germ)[1]
         folds.append(_with_predictions(design, shared, responses, germ)[0])
     compared = Compared(sample=_compared(rows.where(good), fits), values=values[good], folds=folds)
-    return line, compared
+    return replace(tables, line=line, compared=compared)

@@ -84,6 +84,7 @@ class Tables:
     stopped : why the tables do not grow any more; empty while they do
     predicted_from : model runs that the line of a slow model is predicted from
     compared : the rows that it is predicted from
+    without_line : why there is no line
     """
 
     design: Design
@@ -99,6 +100,7 @@ class Tables:
     stopped: Stop = ""
     predicted_from: int = 0
     compared: Compared | None = None
+    without_line: str = "the run ended before its rows"
 
     @property
     def rows(self) -> Sample:

@@ -18,6 +18,7 @@ from uqsphere.results.types import (
     Decision,
     Doubt,
     FreeNumber,
+    Kind,
     Range,
     Results,
     Shortfall,
@@ -302,6 +303,10 @@ class DecisionText:
             if decision.aim == "break":
                 return f"{name} does not reach its target anywhere between {self._ends}."
             return f"{name} exceeds its target everywhere between {self._ends}."
+        if not self.decision.curve:
+            margins = self.results.where(f"limits.{self.decision.limits[0]}", Kind.MARGIN)
+            reasons = "; ".join(row.note for row in margins)
+            return f"The probability between {self._ends} is not known: {reasons}."
         if self._kept_everywhere:
             return "The target is kept in the whole range."
         return f"The target is not crossed between {self._ends}."

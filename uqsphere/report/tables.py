@@ -205,7 +205,7 @@ def limits(results: Results) -> PageTable:
 
 def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
-    if not results.where(subject, Kind.MARGIN):
+    if not results.where(subject, Kind.CURVE):
         return DASH
     row = results.get(subject, Kind.MARGIN, entry.allowable)
     if row.value is None:
@@ -224,7 +224,7 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
             worst = max if decision.safe_above else min
             number = DecisionText(results, decision).number(worst(margins))
             return [number, value_range(min(margins), max(margins), path)]
-        if doubts:
+        if any(doubt.margin_note == "everywhere" for doubt in doubts):
             return ["whole range", DASH]
     return [DASH, DASH]
 
