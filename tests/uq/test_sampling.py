@@ -136,8 +136,9 @@ def test_a_head_and_the_rows_that_continue_it_are_the_whole() -> None:
 
 def test_every_stream_of_random_numbers_is_listed_once_where_they_are_made() -> None:
     package = Path(points.__file__).parents[1]
-    # a task is given by its keyword, or in its place to `draw` and `normals` of uq.rare
-    pattern = re.compile(r'(?:task(?:: str)? ?= ?|\b(?:draw|normals)\([^"\n]*)f?"([^"{]+)"')
+    # a task is given by its keyword, or in its place to these
+    called = r"\b(?:draw|normals|random_generator)\("
+    pattern = re.compile(rf'(?:task(?:: str)? ?= ?|{called}[^"\n>]*)f?"([^"{{]+)"')
     sources = [file for file in package.rglob("*.py") if file.name != "points.py"]
     tasks = {task for file in sources for task in pattern.findall(file.read_text("utf-8"))}
     missing = [task for task in sorted(tasks) if task not in (points.__doc__ or "")]
