@@ -631,6 +631,18 @@ def test_the_number_of_a_slow_model_allows_for_what_its_expansions_disagree_by()
     assert decision.use.value < 1.843
 
 
+def test_limits_that_do_not_add_up_are_judged_each_by_itself() -> None:
+    limits = {"a": limit("survive", 0.02), "b": limit("survive", 0.02, quantity="z")}
+    study = Study(
+        inputs={"load": LOAD}, outputs=["y", "z"], limits=limits, margins=MARGINS, analysis=LOOSE
+    )
+    results = uqsphere.run(study, doubled).results
+    assert not any(doubt.joint for doubt in results.decisions[0].doubts)
+    text = summary(results)
+    assert "each by itself, to survive" in text
+    assert "all together" not in text
+
+
 @pytest.mark.parametrize("why", ["failed", "leaves"])
 def test_a_curve_that_is_not_known_is_not_one_that_keeps_its_target(why: str) -> None:
     """Rows that fail, and may be failures, or a model that no expansion follows."""

@@ -239,10 +239,12 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
         p = probability(as_event(decision.aim, decision.probability))
         yield "your own limits", p, "", "", number(own.margin), "", "", ""
     if use is not None and free is not None:
-        p = probability(joint_event(decision))
+        together, p = "each by itself", ""
+        if any(doubt.joint for doubt in decision.doubts):
+            together = all_modes(decision).replace("all failure modes", "all together")
+            p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
         span = value_range(use.best.low, use.best.high, free.quantity)
-        together = all_modes(decision).replace("all failure modes", "all together")
         name = f"{together}, to {decision.aim}"
         yield name, p, "", best, number(use.value), span, "", ""
 
