@@ -520,14 +520,18 @@ def _sweep(options: Namespace) -> int:
     sweep = plan_sweep(options.over, folder, _reader(options))
     _warn(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points)))
     runs = {}
-    waiting = []
-    for point in sweep.points:
-        run = finished_run(sweep, point)
-        if run is None:
-            waiting.append(point)
-        else:
-            runs[point.name] = run
-    page = write_sweep(sweep, runs) if runs else folder
+
+    def take_in(points: Iterable[Any]) -> None:
+        """Write the page with those of some points that have run."""
+        for point in points:
+            run = finished_run(sweep, point)
+            if run:
+                runs[point.name] = run
+        if runs:
+            write_sweep(sweep, runs)
+
+    take_in(sweep.points)
+    waiting = [point for point in sweep.points if point.name not in runs]
     with _cluster(options) as client, _interruptible() as stop:
         made = _points_here(options, sweep, waiting, stop)
         if client is not None:
@@ -542,13 +546,10 @@ def _sweep(options: Namespace) -> int:
             )
             made = run_on_cluster(sweep, waiting, start, stop)
         for point in made:
-            run = finished_run(sweep, point)
-            if run:
-                runs[point.name] = run
-                page = write_sweep(sweep, runs)
+            take_in([point])
     if runs:
         print(sweep_text(sweep, runs, _width()))
-        print(f"report: {page}")
+        print(f"report: {folder / 'report.html'}")
     if len(runs) < len(sweep.points):
         return INTERRUPTED
     return _exit_code(runs.values())

@@ -302,7 +302,7 @@ def toml_text(tables: Mapping[str, object], default: Callable[[Any], object]) ->
             return {str(key): plain(part, *place, str(key)) for key, part in value.items()}
         if isinstance(value, list | tuple):
             return [plain(part, *place, k) for k, part in enumerate(value)]
-        if isinstance(value, str | bool | int | float):
+        if isinstance(value, str | int | float):
             return value
         if isinstance(value, Path):
             return str(value)

@@ -3,14 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import field
 from functools import cache
-from itertools import chain
 
 from uqsphere.arrays import frozen
 from uqsphere.files import Json, packaged
 from uqsphere.units import parse_value
-
-#: uses of a material: sphere, bars and strikers, other counter-bodies
-MATERIAL_KINDS = ("sphere", "bars", "plates")
 
 #: property -> dimension of its unit
 PROPERTIES = {
@@ -58,34 +54,41 @@ class Property:
 
 @frozen
 class Material:
-    """A material of the library; `rock`: its failure modes are assessed with library strengths."""
+    """A material of the library.
 
-    name: str
+    kind: what is made of it, `sphere`, `bars` and strikers, or `plates`, other counter-bodies.
+    rock: its failure modes are assessed with library strengths.
+    """
+
+    kind: str
     title: str
     properties: Mapping[str, Property]
     rock: bool
 
 
 @cache
-def library() -> dict[str, dict[str, Material]]:
-    """The materials of the package: kind (see `MATERIAL_KINDS`) -> name -> material.
+def library() -> dict[str, Material]:
+    """The materials of the package by name.
 
-    >>> library()["sphere"]["granite"].properties["nu"].value
+    >>> library()["granite"].properties["nu"].value
     0.25
     """
-    tables = packaged("materials.toml")
     materials = {}
-    for kind in MATERIAL_KINDS:
-        materials[kind] = {name: _material(name, table) for name, table in tables[kind].items()}
+    for kind, tables in packaged("materials.toml").items():
+        for name, table in tables.items():
+            materials[name] = _material(kind, table)
     return materials
 
 
 def materials_of(*kinds: str) -> dict[str, Material]:
-    """The materials of some kinds by name; one that several of them have is that of the last."""
-    return dict(chain(*(library()[kind].items() for kind in kinds)))
+    """The materials of some kinds by name, those of the first kind first."""
+    materials = dict[str, Material]()
+    for kind in kinds:
+        materials |= {name: entry for name, entry in library().items() if entry.kind == kind}
+    return materials
 
 
-def _material(name: str, table: Mapping[str, Json]) -> Material:
+def _material(kind: str, table: Mapping[str, Json]) -> Material:
     """One table of the library; an incomplete or unknown entry raises."""
     properties = {}
     for key, entry in table.items():
@@ -106,5 +109,5 @@ def _material(name: str, table: Mapping[str, Json]) -> Material:
             value=value, text=text, range=tuple(ends) or None, further=further, **entry
         )
     return Material(
-        name=name, title=table["title"], properties=properties, rock=table.get("rock", False)
+        kind=kind, title=table["title"], properties=properties, rock=table.get("rock", False)
     )

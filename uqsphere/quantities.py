@@ -123,12 +123,11 @@ def round_conservative(
     factor = display_unit(name, value)[1]
     scaled = value * factor
     direction = 1 if safe_above else -1
+    kept = direction * factor * (math.nan if planned is None else planned)
     rounded = scaled
     for digits in (2, 3, 4, 5):
         rounded = _significant(scaled, digits, direction)
-        passed = planned is not None and rounded < planned * factor <= scaled
-        if safe_above:
-            passed = planned is not None and scaled <= planned * factor < rounded
+        passed = direction * rounded > kept >= direction * scaled
         if abs(rounded - scaled) <= 0.05 * abs(scaled) and not passed:
             break
     return rounded / factor
@@ -227,7 +226,7 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
     """
     if value is None or low is None or high is None or low == high:
         return format_probability(value, high, low)
-    if (value == 0.0 and high < 1.0) or (value == 1.0 and low > 0.0):
+    if value in (0.0, 1.0) and high - low < 1.0:
         return format_probability(value, high, low)
     decimals = None
     if low > 0.99 and high <= 0.9999:

@@ -568,11 +568,11 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
     if place > 0 and words[place]:
         return place
     numbers = [len(texts) > 1 and all(map(_is_numeric, texts)) for texts in cells]
-    below = max((k for k, whole in enumerate(numbers, 1) if not whole), default=0)
+    below = next((k for k, whole in enumerate(numbers) if whole), 0)
     place = below - 1
     if place > 0 and are_units(rows[place]):
         place -= 1
-    if not 1 <= place < below < len(rows) or not words[place] or any(numbers[:place]):
+    if place < 1 or not words[place] or not all(numbers[below:]):
         return 0
     texts = [cell for cell in cells[place] if cell.lower() not in NOTHING]
     return place if len(texts) > 1 and not any(map(is_error_value, texts)) else 0

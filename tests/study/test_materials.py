@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from uqsphere.materials import FURTHER, MATERIAL_KINDS, library
+from uqsphere.files import packaged
+from uqsphere.materials import FURTHER, library, materials_of
 from uqsphere.quantities import INPUTS
 
 
 def test_every_value_is_plausible_and_sourced() -> None:
-    for kind in MATERIAL_KINDS:
-        for name, material in library()[kind].items():
-            assert material.name == name
+    for kind in ("sphere", "bars", "plates"):
+        for name, material in materials_of(kind).items():
             assert material.title
             needed = ("E", "nu", "density", *(("yield_strength",) if kind == "bars" else ()))
             assert set(needed) <= set(material.properties), name
@@ -26,15 +26,21 @@ def test_every_value_is_plausible_and_sourced() -> None:
                     assert low <= value.value <= high, (name, key)
 
 
+def test_every_material_has_a_name_of_its_own() -> None:
+    tables = packaged("materials.toml")
+    assert [*library()] == [name for materials in tables.values() for name in materials]
+    assert {material.kind for material in library().values()} == {*tables}
+
+
 def test_strengths_are_in_order() -> None:
-    for material in library()["sphere"].values():
+    for material in materials_of("sphere").values():
         values = {key: item.value for key, item in material.properties.items()}
         if {"tensile_strength", "compressive_strength"} <= set(values):
             assert values["tensile_strength"] < values["compressive_strength"] < values["E"]
 
 
 def test_strengths_that_may_be_assumed_have_a_range() -> None:
-    for material in library()["sphere"].values():
+    for name, material in materials_of("sphere").items():
         found = material.properties
         assumed = {"contact_strength", "fracture_toughness", "fracture_energy"} & found.keys()
         assumed |= (
@@ -46,4 +52,4 @@ def test_strengths_that_may_be_assumed_have_a_range() -> None:
             low, high = found[key].range or (0.0, 0.0)
             assert (
                 0.2 * found[key].value < low < found[key].value < high < 4.0 * found[key].value
-            ), (material.name, key)
+            ), (name, key)

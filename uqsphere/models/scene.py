@@ -48,9 +48,7 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:
         columns["striker.speed"] = (
             2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
         )
-    return scene_with(
-        columns, study.options, study.model, record=study.record, demands=study.demands
-    )
+    return scene_with(columns, study, study.model)
 
 
 def paper_lines(study: Study) -> tuple[PaperLine, ...]:
@@ -72,7 +70,7 @@ def _library_onset(study: Study) -> dict[str, float]:
     for elastic.
     """
     names = ("onset_pressure", "hardness")
-    material = library()["sphere"].get(study.materials.get("sphere", ""))
+    material = library().get(study.materials.get("sphere", ""))
     given = {*study.fixed, *study.random, *study.options}
     decided = given & {"sphere.onset_pressure", "contact.law"}
     if decided or not material or not material.properties.keys() >= {*names}:

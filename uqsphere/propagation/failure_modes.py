@@ -81,7 +81,7 @@ def failure_modes_of(study: Study) -> tuple[list[AssumedMode], dict[str, str]]:
     limited = {breaks_by(limit) for limit in study.limits if means_fracture(limit)}
     if study.black_box or study.analysis.failure_modes == "given" or not limited:
         return [], {}
-    material = library()["sphere"].get(study.materials.get("sphere", ""))
+    material = library().get(study.materials.get("sphere", ""))
     assumed = []
     not_judged = {}
     for mode in FAILURE_MODES.values():

@@ -169,8 +169,7 @@ def listing(what: str) -> str:
 
 
 def _materials() -> Iterator[str]:
-    for kind, entries in library().items():
-        for name, material in entries.items():
-            yield f"{name} ({kind}): {material.title}"
-            for key, entry in material.properties.items():
-                yield f"    {key} {entry.text}  [{entry.source}]"
+    for name, material in library().items():
+        yield f"{name} ({material.kind}): {material.title}"
+        for key, entry in material.properties.items():
+            yield f"    {key} {entry.text}  [{entry.source}]"

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from uqsphere.documents import Fault, faults_of, one_of, suggestion, unknown, within
 from uqsphere.errors import as_text
-from uqsphere.materials import MATERIAL_KINDS, library, materials_of
+from uqsphere.materials import library, materials_of
 from uqsphere.mechanics import forms
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import PRESETS, STRIKER_SHAPES
@@ -204,13 +204,12 @@ def _library(draft: Draft) -> Faults:
         name = getattr(getattr(document, table), "material", None)
         if name is None:
             continue
-        kinds = _KINDS.get(table, MATERIAL_KINDS)
+        kinds = _KINDS.get(table, ("sphere", "bars", "plates"))
         materials = materials_of(*kinds)
         if name not in materials:
             near = suggestion(name, materials)
-            for kind in MATERIAL_KINDS:
-                if name in library()[kind]:
-                    near = f"; {shown(name)} is a material for {kind}"
+            if name in library():
+                near = f"; {shown(name)} is a material for {library()[name].kind}"
             yield Fault(
                 f"unknown material {shown(name)}, known for {kinds[-1]}: {one_of(materials)}{near}",
                 f"{table}.material",
@@ -390,18 +389,18 @@ def _scene(draft: Draft) -> Faults:
         columns["striker.speed"] = np.ones(1)
 
     try:
-        scene = scene_with(columns, options, model, record=draft.record)
+        scene = scene_with(columns, draft, model)
         # the laws of contacts that yield, by the table of the softer body
         faces = {
             "sphere" if partner.takes[0] else partner.table: partner.face
             for partner in scene.there
             if partner.face
         }
-        valid = faces and all(face.valid[0] for face in faces.values())
-        if draft.plastic and not (draft.document.contact.law or valid):
+        invalid = {softer: face for softer, face in faces.items() if not face.valid[0]}
+        if draft.plastic and not draft.document.contact.law and (invalid or not faces):
             # nobody asked for yield, and the library's numbers make no law of it: elastic contacts
             del options["contact.law"]
-            scene = scene_with(columns, options, model, record=draft.record)
+            scene = scene_with(columns, draft, model)
         draft.scene = scene
     except ValueError as error:
         raise Fault(
@@ -420,19 +419,18 @@ def _scene(draft: Draft) -> Faults:
             "contact.law",
         )
     of_contact = any(f"contact.{key}" in numbers for key in LAW)
-    for softer, face in faces.items():
-        if not face.valid[0]:
-            values = ", ".join(
-                f"{key} {format_value(value, f'contact.{key}')}"
-                for key, value in parameters_of(face).items()
-            )
-            values = re.sub("(nan|inf) GPa", "missing", values)
-            yield Fault(
-                "hardness must be at least the onset pressure, and b = C H/p_y - 1 must be 0 or "
-                f"between 0.2 and 100, not {values}. Without hardness, pile_up = 1 sets b to 0",
-                "contact" if of_contact else softer,
-                "hardness",
-            )
+    for softer, face in invalid.items():
+        values = ", ".join(
+            f"{key} {format_value(value, f'contact.{key}')}"
+            for key, value in parameters_of(face).items()
+        )
+        values = re.sub("(nan|inf) GPa", "missing", values)
+        yield Fault(
+            "hardness must be at least the onset pressure, and b = C H/p_y - 1 must be 0 or "
+            f"between 0.2 and 100, not {values}. Without hardness, pile_up = 1 sets b to 0",
+            "contact" if of_contact else softer,
+            "hardness",
+        )
 
 
 def _pulse(draft: Draft) -> Faults:

@@ -11,7 +11,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Places
 from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, within
-from uqsphere.materials import library
+from uqsphere.materials import materials_of
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
@@ -164,9 +164,7 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
         if entry.quantity and not parameters:
             quantity = entry.quantity
             criterion = None
-    compared = str(criterion or quantity)
-    if _is_hertz(draft, table, compared) and draft.plastic:
-        compared = "p_hertz"
+    compared = _compared(draft, table, str(criterion or quantity))
     return Limit(
         name=name,
         quantity=f"{compared}.{name}" if criterion else compared,
@@ -180,34 +178,34 @@ def _demand(draft: Draft, name: str, table: LimitTable) -> Limit:
     )
 
 
-def _is_hertz(draft: Draft, table: LimitTable, compared: str) -> bool:
-    """Whether a strength is a pressure by Hertz, which a yielding contact does not reach; raises
-    Fault.
+def _compared(draft: Draft, table: LimitTable, demand: str) -> str:
+    """What a strength is compared with: p_hertz in place of a pressure where it is one by Hertz,
+    which a yielding contact does not reach; raises Fault.
     """
     meant = table.strength_is
-    pressure = compared in ("p_max", "first_peak")
-    if meant and not pressure and (compared, meant) != ("p_hertz", "hertz"):
+    pressure = demand in ("p_max", "first_peak")
+    if meant and not pressure and (demand, meant) != ("p_hertz", "hertz"):
         raise Fault(
-            f"strength_is is used only with p_max and first_peak, not with {compared}. Remove it",
+            f"strength_is is used only with p_max and first_peak, not with {demand}. Remove it",
             "strength_is",
         )
     if not (draft.plastic and pressure):
-        return meant == "hertz"
-    if not meant:
-        if draft.document.contact.law:
-            raise Fault(_PRESSURES, "strength_is")
-        return compared == "p_max"  # as nearly all tabulated contact strengths are
+        return demand
+    if not meant and draft.document.contact.law:
+        raise Fault(_PRESSURES, "strength_is")
     if meant == "pressure" and is_tests(table.strength):
         raise Fault(
             'forces at failure become pressures by Hertz. Set strength_is = "hertz"', "strength_is"
         )
-    if meant == "hertz" and compared == "first_peak":
+    if demand == "p_max" and meant != "pressure":
+        return "p_hertz"  # as nearly all tabulated contact strengths are
+    if meant == "hertz":
         raise Fault(
             'first_peak is a true pressure if contacts yield. Set strength_is = "pressure", or '
             'quantity = "p_max"',
             "strength_is",
         )
-    return meant == "hertz"
+    return demand
 
 
 def _strength(draft: Draft, table: LimitTable, limit: Limit) -> Number:
@@ -459,7 +457,7 @@ def _usual_tension(draft: Draft) -> tuple[float, float]:
 def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
     """E [Pa], infinite if rigid, and nu of the platens of the tests; raises Fault."""
     choices = {"bars": (draft.mean("bars.E"), draft.mean("bars.nu")), "rigid": (math.inf, 0.3)}
-    for name, material in library()["bars"].items():
+    for name, material in materials_of("bars").items():
         choices[name] = material.properties["E"].value, material.properties["nu"].value
     with within("platens"):
         if isinstance(raw, Mapping) and set(raw) == {"E", "nu"}:

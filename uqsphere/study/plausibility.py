@@ -5,10 +5,10 @@ verdict is established by it.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection
 
 from uqsphere.arrays import frozen
-from uqsphere.materials import PROPERTIES, Material, library
+from uqsphere.materials import PROPERTIES, library, materials_of
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
 from uqsphere.quantities import format_value, lookup
@@ -27,7 +27,8 @@ _NEAR = 1.25
 _MODULI = (1.5, 25.0)
 #: numbers of a material that are held against the library's
 _KEYS = ("E", "nu", "density", "yield_strength", "onset_pressure", "hardness")
-#: words of a title, or of a partner's name, by which a sphere of no named material is of a class
+#: words of a title, or of a partner's name, by which a sphere of no named material is of a class,
+#: and of the names of the library's spheres of that class
 _CLASSES = {
     "rocks": "rock stone ore pellet mineral gravel lump granite gneiss limestone marble sandstone "
     "basalt quartz quartzite magnetite",
@@ -60,50 +61,44 @@ def warn_of_slips(draft: Draft) -> None:
 
 @frozen
 class Like:
-    """What a body is held against: one material of the library, or a class of them."""
+    """What a body is held against: one material of the library, or those of a class."""
 
     called: str
-    materials: Sequence[Material]
+    materials: Collection[str]
 
     def range_of(self, key: str, diameter: float = math.inf) -> Range:
         """The range of a property, of particles of a diameter [m] by its size law; NaN where the
         library has none.
         """
         ends = []
-        for material in self.materials:
-            entry = material.properties.get(key)
+        for name in self.materials:
+            entry = library()[name].properties.get(key)
             if entry:
                 size = entry.further.get("size", 0.0)
                 factor = 1.0 + (size / diameter) ** entry.further.get("exponent", 1.0)
-                ends += [factor * end for end in entry.range or (entry.value, entry.value)]
+                ends += [factor * end for end in entry.range or (entry.value,)]
         return min(ends, default=math.nan), max(ends, default=math.nan), self.called
 
 
 def like_material(name: str) -> Like:
     """One material of the library."""
-    return Like(called=name, materials=[kind[name] for kind in library().values() if name in kind])
+    return Like(called=name, materials={name} & library().keys())
 
 
 def _class_of(draft: Draft) -> Like:
     """The class of a sphere of no named material, by the study's title and the names of its
     partners; all brittle solids where neither says.
     """
-    solids = library()["sphere"]
+    solids = materials_of("sphere")
     text = " ".join([draft.document.title, *draft.materials.values()]).lower()
     words = set(re.findall("[a-z]+", text))
     words |= {word.removesuffix("s") for word in words}
-    members = {
-        "rocks": [material for material in solids.values() if material.rock],
-        "glass": [solids["soda_lime_glass"]],
-        "ceramics": [solids["alumina"]],
-    }
     for called, listed in _CLASSES.items():
-        if words.intersection(listed.split()):
-            return Like(called=called, materials=members[called])
-    brittle = [*solids.values()]
-    for name in _BRITTLE:
-        brittle += like_material(name).materials
-    return Like(called="brittle solids", materials=brittle)
+        known = set(listed.split())
+        if known & words:
+            named = [name for name in solids if known.intersection(name.split("_"))]
+            return Like(called=called, materials=named)
+    return Like(called="brittle solids", materials=[*solids, *_BRITTLE])
 
 
 def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str = "") -> None:

@@ -206,10 +206,9 @@ class Study:
             if isinstance(inputs, Mapping):
                 tables["inputs"] = of_salib(inputs)
             tables = dict(vars(load_study(tables)))
-        for entry in fields(self):
-            object.__setattr__(self, entry.name, tables.pop(entry.name))
-        if tables:
-            raise TypeError(f"Study has no {min(tables)}")
+        for name in tables.keys() ^ {entry.name for entry in fields(self)}:
+            raise TypeError(f"Study has no {name}")
+        vars(self).update(tables)
 
     @property
     def rig(self) -> str:
@@ -372,30 +371,23 @@ def default_target(limits: Iterable[Limit], margins: Margins | None, aim: str) -
     return min(targets, default=DEFAULT_TARGET)
 
 
-def scene_with(
-    columns: Mapping[str, Array],
-    options: Mapping[str, Json],
-    model: ModelChoice,
-    *,
-    record: MeasuredPulse | None,
-    demands: Demands | None = None,
-) -> Scene:
+def scene_with(columns: Mapping[str, Array], study: "Study | Draft", model: ModelChoice) -> Scene:
     """The scenes of some columns (n,) under the words of a study; raises ValueError as `Scene`."""
-    word = options.get
+    word = study.options.get
     return Scene(
         columns=columns,
         rig=word("rig.kind", DEFAULT_RIG),
-        options=options,
+        options=study.options,
         shape=word("pulse.shape", "rectangular"),
         infinite=word("bars.infinite", False),
         rigid_contact=word("bars.rigid_contact", False),
         first_loading_only=model.first_loading_only,
         whole_record=model.whole_record,
         horizon=model.horizon,
-        demands=demands or {},
+        demands=study.demands,
         contact_law=word("contact.law", "hertz"),
-        hardness_at_onset="contact.hardness" in options,
-        record=record,
+        hardness_at_onset="contact.hardness" in study.options,
+        record=study.record,
     )
 
 
@@ -429,6 +421,7 @@ class Draft:
         self.materials = dict[str, str]()
         self.sources = dict[str, Property]()
         self.limits = dict[str, Limit]()
+        self.demands = dict[str, Any]()
         self.dependence = list[Dependence]()
         self.warnings = dict[tuple[str, str], str]()
         self.files = dict[str, Path]()
