@@ -12,7 +12,6 @@ import io
 import math
 import re
 import warnings
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Places
 from uqsphere.documents import WORDS, suggestion
 from uqsphere.errors import UsageError, as_text
 from uqsphere.files import TooLarge, read_given
@@ -194,7 +193,7 @@ def _decimal_mark(texts: Iterable[str]) -> str:
     return "".join(sorted(certain, reverse=True))
 
 
-def _lines(lines: Sequence[int]) -> str:
+def _lines(lines: Sequence[int] | Places) -> str:
     text = ", ".join(map(str, lines[:_MOST_LINES]))
     if len(lines) > _MOST_LINES:
         text += f" and {len(lines) - _MOST_LINES} more"
@@ -208,16 +207,18 @@ def _lines(lines: Sequence[int]) -> str:
 @dataclass(kw_only=True)
 class Table:
     """The cells of a file as texts: rows of data with the numbers of their lines, notes for the
-    user, and lines that follow an empty one (`apart`).
+    user, lines that follow an empty one (`apart`), and the units [SI] of the columns that were
+    read, by the keys that name them.
     """
 
     name: str
     headings: list[str]
     rows: list[list[str]]
-    lines: list[int]
+    lines: Places
     notes: list[str]
     decimal: str
     apart: set[int] = field(default_factory=set)
+    units: dict[str, float] = field(default_factory=dict)
     faults: dict[tuple[str, str], dict[int, None]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -303,10 +304,8 @@ class Table:
         heading = self.headings[at]
         if column.isdigit():
             column = heading
-        factor = self._factor(heading, dimension, unit, key)
-        values, faults = self._parsed([row[at] for row in self.rows], blank)
-        for message, places in faults.items():
-            self.refuse(key, f"{column}: {message}", places)
+        factor = self.units[key] = self._factor(heading, dimension, unit, key)
+        values = self._parsed([row[at] for row in self.rows], column, key, blank)
         with np.errstate(over="ignore"):
             values *= factor
         self.refuse(key, f"{column}: a number is too large", np.abs(values) > LARGEST_NUMBER)
@@ -342,9 +341,9 @@ class Table:
             )
         return units[unit or in_heading or ""]
 
-    def _parsed(self, texts: list[str], blank: bool) -> tuple[Array, dict[str, list[int]]]:
-        """The number of each cell of a column (n,), nan where there is none, and what is wrong with
-        cells: the places of each fault.
+    def _parsed(self, texts: list[str], column: str, key: str, blank: bool) -> Array:
+        """The number of each cell of a column (n,), nan where there is none; notes what is wrong
+        with cells.
         """
         thousands = "a mark of thousands: write the number without it"
         certain = _decimal_mark(texts)
@@ -367,7 +366,6 @@ class Table:
         number = NUMBER.get(mark, NUMBER["."])
         no_data = self._no_data
         values = np.full(len(texts), math.nan)
-        faults = defaultdict[str, list[int]](list)
         strange = ""
         for k, text in enumerate(texts):
             if k in no_data or (blank and text.lower() in NOTHING):
@@ -391,8 +389,8 @@ class Table:
             else:  # all that are no numbers are told by the first
                 strange = strange or self._strange(text)
                 message = strange
-            faults[message].append(k)
-        return values, faults
+            self.refuse(key, f"{column}: {message}", [k])
+        return values
 
     def _strange(self, text: str) -> str:
         """What is wrong with a cell that is no number."""
@@ -407,7 +405,7 @@ class Table:
         """Note that rows are wrong, flags (n,) or their places; each line is told of once for one
         fault.
         """
-        lines = np.array(self.lines)[wrong].tolist()
+        lines = self.lines[wrong].tolist()
         if lines:
             self.faults.setdefault((key, message), {}).update(dict.fromkeys(lines))
 
@@ -448,8 +446,7 @@ class Table:
         if pasted:
             verb = "repeats" if len(again) == 1 else "repeat"
             self.notes.append(
-                f"{self.name}: {_lines([self.lines[k] for k in again])} {verb} earlier rows: "
-                "pasted twice?"
+                f"{self.name}: {_lines(self.lines[again])} {verb} earlier rows: pasted twice?"
             )
         self._note_sums()
 
@@ -673,7 +670,7 @@ def table_of(
     return Table(
         name=name,
         headings=headings,
-        lines=[line for line, _ in numbered],
+        lines=np.array([line for line, _ in numbered]),
         notes=notes,
         decimal=decimal,
         rows=[row[:width] + [""] * (width - len(row)) for _, row in numbered],

@@ -246,14 +246,14 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
         )
     platens = _platens(draft, table.platens)
     sphere = _sphere(draft, platens)
-    cells, rows, columns, stopped = observations(
+    cells, lines, columns, stopped = observations(
         table, draft, force="force", diameter="length", rate="loading_rate"
     )
     force = columns["force"]
     diameter = columns["diameter"]
     rate = columns.get("rate")
-    tension = _warn_of_slips(table, cells, rows, columns, draft)
-    warn_of_rows(table, cells, rows, tension, stopped, draft)
+    tension = _warn_of_slips(table, cells, lines, columns, draft)
+    warn_of_rows(table, cells, lines, tension, stopped, draft)
 
     power = _POWERS.get(demand, 2.0)
     mean = float(diameter.mean())
@@ -382,7 +382,7 @@ def compare_sizes(
 
 
 def _warn_of_slips(
-    table: Observations, cells: Table, rows: Places, columns: Mapping[str, Array], draft: Draft
+    table: Observations, cells: Table, lines: Places, columns: Mapping[str, Array], draft: Draft
 ) -> Array:
     """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
 
@@ -397,16 +397,8 @@ def _warn_of_slips(
         typical = np.median(0.9 * force / np.square(diameter))
         return bool(low <= typical <= high and 1 / 3 <= np.median(diameter) / across <= 3.0)
 
-    def unit_of(key: str, dimension: str) -> float:
-        """The unit [SI] in which a column is written; NaN of a diameter that is no column."""
-        column = getattr(table, key)
-        unit = getattr(table, f"{key}_unit")
-        if unit is None and not column[:1].isdigit():
-            unit = cells.unit_of(column, dimension)
-        return UNITS[dimension].get(unit or "", math.nan)
-
-    of_force = unit_of("force", "force")
-    of_length = unit_of("diameter", "length")
+    of_force = cells.units["force"]
+    of_length = cells.units.get("diameter", math.nan)
     tension: Array = 0.9 * force / np.square(diameter)
     typical = np.median(tension)
     far = np.abs(np.log(diameter / across)) > math.log(3.0)
@@ -419,7 +411,7 @@ def _warn_of_slips(
             key: columns[key][first] / np.median(columns[key]) for key in ("force", "diameter")
         }
         key = max(ratios, key=lambda key: abs(math.log(ratios[key])))
-        text = f"line {cells.lines[rows[first]]}: the {key} is {ratios[key]:,.4g} times the median"
+        text = f"line {lines[first]}: the {key} is {ratios[key]:,.4g} times the median"
         tension[slips] = typical
     elif far.any():
         key = "diameter"

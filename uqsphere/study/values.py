@@ -433,12 +433,12 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
             "forces at failure are used only for the strength of a limit of the impact model",
             "force",
         )
-    cells, rows, columns, stopped = observations(table, draft, column=quantity.dimension)
+    cells, lines, columns, stopped = observations(table, draft, column=quantity.dimension)
     bounds = [
         None if end is None else value_of(end, quantity, bounded=False)
         for end in (table.lower, table.upper)
     ]
-    warn_of_rows(table, cells, rows, columns["column"], stopped, draft)
+    warn_of_rows(table, cells, lines, columns["column"], stopped, draft)
     return Number(value=fit(columns["column"], stopped, table, bounds), synthetic=table.synthetic)
 
 
@@ -497,7 +497,7 @@ def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
 def observations(
     table: Observations, draft: "Draft", **dimensions: str
 ) -> tuple[Table, Places, dict[str, Array], Flags]:
-    """Tests of a file by the keys that name its columns: the table, the row of each test, columns
+    """Tests of a file by the keys that name its columns: the table, the line of each test, columns
     and stops (n,).
 
     A row is as many tests as its count says; a key that the table lacks has no column.  Raises
@@ -526,8 +526,9 @@ def observations(
         cells.refuse("count", "at most two million tests are allowed", np.cumsum(many) > 2e6)
         for key in columns.keys() & {"force", "diameter"}:
             cells.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
-    rows = np.repeat(np.arange(len(cells)), many.astype(int))
-    return cells, rows, {key: column[rows] for key, column in columns.items()}, stopped[rows]
+    times = many.astype(int)
+    columns = {key: column.repeat(times) for key, column in columns.items()}
+    return cells, cells.lines.repeat(times), columns, stopped.repeat(times)
 
 
 def fit(
@@ -561,19 +562,19 @@ def fit(
 
 
 def warn_of_rows(
-    table: Observations, cells: Table, rows: Places, x: Array, stopped: Flags, draft: "Draft"
+    table: Observations, cells: Table, lines: Places, x: Array, stopped: Flags, draft: "Draft"
 ) -> None:
-    """Warn of what the reader notes, of few observations (n,) that stand in `rows`, outliers, a
+    """Warn of what the reader notes, of few observations (n,) that stand in `lines`, outliers, a
     shape of no fit; and of a modulus that they contradict, which holds the verdict.
     """
     notes = list(cells.notes)
-    lines = [
-        f"line {cells.lines[rows[k]]} ({ratio:.3g} times the median)"
+    far = [
+        f"line {lines[k]} ({ratio:.3g} times the median)"
         for k, ratio in outliers(x, ~stopped).items()
     ]
-    if lines:
+    if far:
         notes.append(
-            f"{cells.name}: {', '.join(lines[:5])}: far from the other rows. Is the decimal point "
+            f"{cells.name}: {', '.join(far[:5])}: far from the other rows. Is the decimal point "
             "right?"
         )
     if (~stopped).sum() >= 6:

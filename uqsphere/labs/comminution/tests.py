@@ -87,9 +87,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     for column, value in want.where.items():
         cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
         kept = [row for row, cell in enumerate(cells) if cell == value]
-        table = replace(
-            table, rows=[table.rows[row] for row in kept], lines=[table.lines[row] for row in kept]
-        )
+        table = replace(table, rows=[table.rows[row] for row in kept], lines=table.lines[kept])
     if not len(table):
         raise UsageError(f"{table.name}: tests.where selects no row")
     # a column, or the geometric mean of two sieves
@@ -185,5 +183,5 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     odd = away > 5.0 * max(1.4826 * np.median(away), 0.05)
     if not odd.any():
         return []
-    lines = ", ".join(map(str, np.array(table.lines)[odd][:8]))
+    lines = ", ".join(map(str, table.lines[odd][:8]))
     return [f"line {lines}: the energy lies far from the others: is its unit right?"]
