@@ -707,13 +707,12 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
             warnings.simplefilter("ignore")
             book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         sheets = sorted(book.worksheets, key=lambda sheet: sheet.sheet_state != "visible")
-        titles = [sheet.title for sheet in sheets]
-        if wanted and wanted not in titles:
-            listed = ", ".join(repr(as_text(title, 40)) for title in titles[:12])
+        full = {sheet: _rows_of(sheet) for sheet in sheets if wanted in ("", sheet.title)}
+        if wanted and not full:
+            listed = ", ".join(repr(as_text(sheet.title, 40)) for sheet in sheets[:12])
             raise TableError(
                 f"there is no sheet {wanted!r} in {name!r}, which has {listed}", "sheet"
             )
-        full = {sheet: _rows_of(sheet) for sheet in sheets if wanted in ("", sheet.title)}
         sheet, *others = [sheet for sheet, rows in full.items() if rows] or full
         rows = full[sheet]
         if formulas:
@@ -750,17 +749,11 @@ def _has_formulas(data: bytes, name: str) -> bool:
         raise TableError(
             f"{name!r} unpacks to {size >> 20:,} MiB; at most {8 * LARGEST >> 20} MiB are read"
         )
-    formulas, cells = False, 0
-    for part in archive.namelist():
-        if part.startswith("xl/worksheets/"):
-            content = archive.read(part)
-            formulas |= bool(re.search(rb"<f[ >]", content))
-            cells += len(re.findall(rb"<c[ >]|<row", content))
-            if cells > _MOST_CELLS:
-                raise TableError(
-                    f"{name!r} has more than {_MOST_CELLS:,} cells. Save the sheet as CSV"
-                )
-    return formulas
+    parts = [part for part in archive.namelist() if part.startswith("xl/worksheets/")]
+    content = b"".join(map(archive.read, parts))
+    if len(re.findall(rb"<c[ >]|<row", content)) > _MOST_CELLS:
+        raise TableError(f"{name!r} has more than {_MOST_CELLS:,} cells. Save the sheet as CSV")
+    return bool(re.search(rb"<f[ >]", content))
 
 
 def _rows_of(sheet: Any) -> dict[int, list[str]]:

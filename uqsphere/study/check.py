@@ -301,8 +301,11 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
 def _one_given(draft: Draft, table: str, alternatives: list[str]) -> Faults:
     """Whether one of the keys that serve a purpose is given, by the file or by the library."""
     entries = numbers_of(table)
-    given = {key for key, entry in entries.items() if entry.name in draft.numbers}
-    given = (given | draft.data[table].keys()).intersection(alternatives)
+    given = [
+        key
+        for key in alternatives
+        if key in draft.data[table] or getattr(entries.get(key), "name", "") in draft.numbers
+    ]
     first = alternatives[0]
     if len(given) > 1:
         yield Fault(

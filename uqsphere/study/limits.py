@@ -3,7 +3,7 @@ tests.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -343,7 +343,7 @@ def _fixed_point(fitted: Callable[[float], tuple[Law, float]], start: float) -> 
 
 
 def compare_sizes(
-    limit: Limit, tested: Tested | None, radii: tuple[float, ...], draft: Draft, key: str
+    limit: Limit, tested: Tested | None, radii: Sequence[float], draft: Draft, key: str
 ) -> None:
     """Warn of tests of a limit that have another diameter than the sphere, of its first radius [m].
 
@@ -464,13 +464,13 @@ def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
     return choices[raw]
 
 
-def _radii(draft: Draft) -> tuple[float, ...]:
+def _radii(draft: Draft) -> Sequence[float]:
     """The mean radius of the sphere [m], and its 1 % and 99 % quantiles if it is random."""
-    law = draft.numbers["sphere.radius"].value
-    mean = draft.mean("sphere.radius")
-    if not isinstance(law, Law):
-        return (mean,)
-    return (mean, *law.ppf([0.01, 0.99]).tolist())
+    radius = draft.numbers["sphere.radius"]
+    radii = [radius.mean]
+    if isinstance(radius.value, Law):
+        radii += radius.value.ppf([0.01, 0.99]).tolist()
+    return radii
 
 
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:

@@ -261,12 +261,9 @@ def percent(raw: Any) -> Any:
     return raw
 
 
+_Above = Annotated[float, Field(gt=0.0)]
 #: a number above zero, or a percentage of such
-Positive = Annotated[
-    float,
-    Field(gt=0.0),
-    BeforeValidator(percent, json_schema_input_type=Annotated[float, Field(gt=0.0)] | str),
-]
+Positive = Annotated[_Above, BeforeValidator(percent, json_schema_input_type=_Above | str)]
 
 
 class Discrete(TomlTable):
