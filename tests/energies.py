@@ -114,11 +114,11 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, .
         return gap, radius, none, np.asarray(contact.contact_energy(pressed, beta)), none
     law, largest = partner.face.at(motion.row), np.maximum.accumulate(force)
     peak = law.pressed(law.depth_at(largest))
-    back = peak.approach - peak.dent
+    back = peak.alpha_max - peak.dent_left
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.cbrt(np.square(np.where(largest > 0.0, force / largest, 0.0)))
         # a² = r_p (alpha - alpha_r) on the spring, (C9)
-        radius = np.where(largest > 0.0, peak.radius * np.sqrt(share), 0.0)
+        radius = np.where(largest > 0.0, peak.a_max * np.sqrt(share), 0.0)
     above = np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
     stored = 0.4 * force * np.maximum(above, 0.0)
-    return peak.dent + above, radius, peak.dent, stored, peak.plastic
+    return peak.dent_left + above, radius, peak.dent_left, stored, peak.dissipated

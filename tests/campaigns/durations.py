@@ -149,7 +149,7 @@ def _dents(course: Motion, times: Array, width: float) -> Array:
         return np.zeros(2)
     face = law.at(course.row)
     tops = [_largest(course, lambda forces, k=k: forces[:, k], times, width)[0] for k in (0, 1)]  # type: ignore[misc]
-    dents = [float(face.pressed(face.depth_at(np.array([top]))).dent[0]) for top in tops]
+    dents = [float(face.pressed(face.depth_at(np.array([top]))).dent_left[0]) for top in tops]
     return np.where(
         course.forces_at(np.array([course.end * course.unit]))[0] < np.array(tops), dents, 0.0
     )

@@ -342,7 +342,7 @@ def compare(
         series[some] = series_stress(
             np.minimum(radius[some], 1.0), angle[some], load, nu, tolerance=1e-9
         ).tension
-    core = float(core_ratio(contact_ratio, nu)[0])
+    core = float(core_ratio(contact_ratio, nu))
     scale = np.maximum(np.abs(series), core)
     return Comparison(
         place=place,

@@ -79,7 +79,8 @@ def test_values_of_the_table(table):
         assert table[name].full == full[name][0]
         assert table[name].corrected == closed[name][0]
     # contact is not lost within the record, whatever (3.8) says
-    assert (table["time_to_first_loss"].corrected, table["time_to_first_loss"].full) == (None, None)
+    assert math.isnan(table["time_to_first_loss"].corrected)
+    assert math.isnan(table["time_to_first_loss"].full)
     assert "not over within the evaluation window" in table["time_to_first_loss"].note
     half = table["mean_pressure_at_half_approach"]
     assert half.printed == pytest.approx(table["p_max"].printed / 3.0, rel=1e-12)
@@ -128,7 +129,7 @@ def test_other_pulses_and_finite_bars_are_compared_with_the_rectangle():
         solve_closed(SCENE, "massless").values["p_max"][0], rel=1e-12
     )
     assert rows["p_max"].full > 1.1 * rows["p_max"].corrected  # the reload
-    assert rows["time_to_first_loss"].full is not None
+    assert math.isfinite(rows["time_to_first_loss"].full)
 
 
 def test_a_measured_pulse_is_compared_with_the_rectangle_of_its_length():
@@ -158,8 +159,8 @@ def test_a_row_without_meaning_is_refused():
 def test_no_approach_of_the_full_model_after_the_end_of_its_motion():
     short = replace(SCENE, horizon=0.5 * float(SCENE.scales.time[0]))
     rows = {row.quantity: row for row in as_printed.compare_with_paper(short)}
-    assert rows["approach_at_t_c"].full is None
-    assert rows["approach_after_pulse"].full is None
+    assert math.isnan(rows["approach_at_t_c"].full)
+    assert math.isnan(rows["approach_after_pulse"].full)
 
 
 @pytest.mark.slow

@@ -117,7 +117,7 @@ def test_what_yields_is_told_with_what_the_static_law_says():
             **body._asdict(), modulus=scales.modulus, effective_radius=scales.effective_radius
         )
         press = face.pressed(face.depth_at(np.array([4000.0])))
-        pressure, depth = press.centre[0] / 1e9, 1e6 * press.dent[0]
+        pressure, depth = press.p_max[0] / 1e9, 1e6 * press.dent_left[0]
         estimate = f"p_max up to {pressure:.3g} GPa, indentation {depth:.2g} um"
         assert estimate in found[name].text
 

@@ -37,9 +37,9 @@ def test_the_law_has_the_values_of_its_table(row):
         "A": law.area(z),
         "W": law.work(z),
         "alpha_e": law.recovery(z),
-        "D": state.plastic / unit,
-        "p_m": state.mean / law.onset,
-        "p_0": state.centre / law.onset,
+        "D": state.dissipated / unit,
+        "p_m": state.p_mean / law.onset,
+        "p_0": state.p_max / law.onset,
         "e": law.restitution(z),
     }
     for name, value in found.items():
@@ -67,16 +67,16 @@ def test_what_a_face_takes_grows_with_its_depth(pile_up, ratio):
     law = face(pile_up * ratio - 1.0, pile_up)
     z = np.geomspace(0.01, 1e6, 4001)
     state = law.pressed(z)
-    for name in ("force", "radius", "mean", "centre", "plastic", "stored", "dent"):
+    for name in ("P_max", "a_max", "p_mean", "p_max", "dissipated", "stored", "dent_left"):
         values = getattr(state, name)
         assert np.all(np.diff(values) >= -1e-13 * values[1:]), name
-    assert np.all(state.dent <= state.approach)
-    assert np.all(state.centre <= law.hardness * (1.0 + 1e-14))
+    assert np.all(state.dent_left <= state.alpha_max)
+    assert np.all(state.p_max <= law.hardness * (1.0 + 1e-14))
     slope = np.gradient(law.force(z), z)
     smooth = np.abs(np.log(z)) > 0.02  # b = 0 has a bend at onset
     smooth[[0, -1]] = False
     assert slope[smooth] == pytest.approx(law.slope(z)[smooth], rel=2e-4)
-    back = law.depth_at(state.force)
+    back = law.depth_at(state.P_max)
     assert back == pytest.approx(z, rel=1e-12)
 
 
@@ -106,7 +106,7 @@ def test_hardness_without_end_is_hertz():
     assert law.onset_force == pytest.approx(
         4.0 / 3.0 * 45e9 * math.sqrt(0.01) * law.onset_approach**1.5
     )
-    assert np.all(law.pressed(z).dent < 1e-4 * z * law.onset_approach)
+    assert np.all(law.pressed(z).dent_left < 1e-4 * z * law.onset_approach)
 
 
 def test_far_beyond_onset_restitution_falls_as_johnson_says():

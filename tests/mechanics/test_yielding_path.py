@@ -51,21 +51,21 @@ def test_converged_scenes(case):
     depth = answers["x"] * scale.approach / faces.onset_approach
     for k, name in enumerate("AB"):
         state = faces.pressed(depth[[k]])
-        assert state.dent[0] == pytest.approx(
+        assert state.dent_left[0] == pytest.approx(
             wanted[f"residual_{name}"], abs=1e-7 * wanted["alpha_max"]
         )
-        work = state.plastic[0] + state.stored[0]
-        assert state.plastic[0] == pytest.approx(wanted[f"dissipated_{name}"], abs=1e-7 * work)
+        work = state.dissipated[0] + state.stored[0]
+        assert state.dissipated[0] == pytest.approx(wanted[f"dissipated_{name}"], abs=1e-7 * work)
     top = faces.pressed(depth.max(keepdims=True))
     for name, value in {
-        "p_max": top.centre,
-        "p_mean": top.mean,
-        "P_max": top.force,
-        "a_max": top.radius,
+        "p_max": top.p_max,
+        "p_mean": top.p_mean,
+        "P_max": top.P_max,
+        "a_max": top.a_max,
         "alpha_max": answers["x"].max(keepdims=True) * scale.approach,
         "first_P": faces.pressed(
             answers["x_first"].max(keepdims=True) * scale.approach / faces.onset_approach
-        ).force,
+        ).P_max,
     }.items():
         assert value[0] == pytest.approx(wanted[name], rel=1e-7), name
     if wanted["contact_time"] is not None:

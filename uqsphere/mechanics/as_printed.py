@@ -37,7 +37,7 @@ _LOSS = (
 class PaperValue(NamedTuple):
     """One quantity by the paper's printed formula, by the corrected one, and by the full model.
 
-    quantity: its key.  name: what it is called.  printed, corrected, full: values in SI, None where
+    quantity: its key.  name: what it is called.  printed, corrected, full: values in SI, NaN where
     there is none.  `corrected` is the paper's own idealisation put right: a massless sphere in
     infinite bars under a rectangular pulse.  `full` is the scene as it is: with the sphere's mass,
     reflections and the shape of the pulse.  unit_of: the entry of `OUTPUTS` whose unit people read.
@@ -47,8 +47,8 @@ class PaperValue(NamedTuple):
     quantity: str
     name: str
     printed: float
-    corrected: float | None
-    full: float | None
+    corrected: float
+    full: float
     unit_of: str
     note: str
 
@@ -100,10 +100,10 @@ def paper_line(value: PaperValue) -> PaperLine:
     unit = entry.display or entry.unit
     factor = 1.0 / UNITS[entry.dimension].get(unit, 1.0)
     corrected = None
-    if value.corrected is not None:
+    if math.isfinite(value.corrected):
         corrected = value.corrected * factor
     note = value.note
-    if value.full is not None:
+    if math.isfinite(value.full):
         note += f"; full model: {value.full * factor:.4g} {unit}".rstrip()
     return PaperLine(
         name=value.name, printed=value.printed * factor, corrected=corrected, unit=unit, note=note
@@ -138,7 +138,7 @@ def compare_with_paper(scene: Scene) -> tuple[PaperValue, ...]:
     pressure = 1.5 * force / (math.pi * radius**2)
     duration = contact_duration(alpha, speed)
     loss = _LOSS
-    if _number(full, "time_to_first_loss") is None:
+    if math.isnan(_number(full, "time_to_first_loss")):
         loss += f"; not over within the evaluation window of {1e6 * full.record[0]:.4g} us"
 
     def of(quantity: str, printed: float, note: str) -> PaperValue:
@@ -175,8 +175,8 @@ def _mean_pressure(peak: PaperValue, quantity: str, fraction: float, at: str) ->
         quantity=quantity,
         name=f"mean contact pressure at {at}",
         printed=(2.0 / 3.0) * peak.printed * fraction,
-        corrected=None if peak.corrected is None else right * peak.corrected,
-        full=None if peak.full is None else right * peak.full,
+        corrected=right * peak.corrected,
+        full=right * peak.full,
         unit_of="p_mean",
         note=f"(5.9) is proportional to f, here {fraction:g}, in place of its square root",
     )
@@ -193,7 +193,7 @@ def _approaches(scene: Scene, alpha: float, duration: float) -> list[PaperValue]
 
     def at(key: str, name: str, s: float, printed: Values, note: str) -> PaperValue:
         """The approach at the time s over t_c; no full value after the end of the motion."""
-        full = None
+        full = math.nan
         if s <= course.end:
             full = float(course.states_at(np.array([s * time]))[0, :2].mean())
         return PaperValue(
@@ -229,10 +229,10 @@ def _approaches(scene: Scene, alpha: float, duration: float) -> list[PaperValue]
     return [*values, plateau]
 
 
-def _number(answers: SceneAnswers, quantity: str) -> float | None:
-    """A quantity of the only row, None if the evaluation window ended before it was decided."""
+def _number(answers: SceneAnswers, quantity: str) -> float:
+    """A quantity of the only row, NaN if the evaluation window ended before it was decided."""
     if quantity in answers.censored and answers.censored[quantity][0]:
-        return None
+        return math.nan
     return float(answers.values[quantity][0])
 
 

@@ -350,25 +350,23 @@ def _impact(scene: Scene) -> ColumnMap:
             **_over(at["duration"]),
         }
     else:
-        energy = 0.5 * reduced_mass(scales.mass, ahead.mass) * np.square(scales.speed)
-        depth = face.depth_of_energy(energy)
+        # m V_c²/2, (R5)
+        depth = face.depth_of_energy(0.5 * scales.force * scales.approach)
         state = face.pressed(depth)
         restitution = face.restitution(depth)
         to_scaled = face.onset_approach / scales.approach
         x = depth * to_scaled
-        rising = (face.depth_at(share * state.force) for share in (0.1, 0.9))
+        rising = (face.depth_at(share * state.P_max) for share in (0.1, 0.9))
         low, high, first = (_loading(face, depth, start) for start in (*rising, 0.0))
         # unloading follows Hertz from alpha_e, and ends at the rebound speed
         up = face.recovery(depth) * to_scaled / restitution
         rest = {
             "stored": state.stored / (scales.force * scales.approach),
-            "duration": (1.0 + restitution) * scales.force / state.force,
+            "duration": (1.0 + restitution) * scales.force / state.P_max,
             "rise": (low - high) * to_scaled,
             **_over(first * to_scaled + up * _UNLOADING),
         }
-    share: Values = 0.0
-    if ahead.kind == "mass":
-        share = scales.mass / (scales.mass + ahead.mass)
+    share = scales.mass / (scales.mass + ahead.mass)
     return {
         "x_max": x,
         "x_b": x,

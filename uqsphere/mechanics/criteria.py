@@ -2,21 +2,21 @@
 
 Every criterion is an entry of ``criteria.toml`` and a formula: from columns of the impact model
 (SI, one row per sample) and its own parameters it computes a column of demand.  The sphere breaks
-where the demand exceeds the strength, a number or a distribution of the study.  `in_range` marks
-the rows inside the range of the formula; the demand is computed outside too, since a missing number
-would count as survival.
+where the demand exceeds the strength, a number or a distribution of the study.  `ranges_of`
+tells the range of the formula; the demand is computed outside too, since a missing number would
+count as survival.
 """
 
 import math
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 
-from uqsphere.arrays import Array, ColumnMap, Flags, Names, Values, frozen, quiet
+from uqsphere.arrays import Array, ColumnMap, Names, Values, frozen, quiet
 from uqsphere.units import Quantity
 
 from . import contact, stress
@@ -45,27 +45,21 @@ PARAMETERS = {
 
 
 @frozen
-class Criterion:
-    """One criterion; fields as explained in criteria.toml."""
+class Criterion(Quantity):
+    """One criterion, a quantity as its demand is one; fields as explained in criteria.toml."""
 
-    name: str
-    meaning: str
     formula: str
     source: str
     range_text: str
-    dimension: str
-    symbol: str
-    display: str
     measures: str
     strength: str
-    needs: Names
     quantity: str | None = None
     also: Names = ()
     parameters: Names = ()
     optional: Names = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     follows: str = "force"
-    place: str = ""
+    fracture: bool = True
 
     def needs_with(self, parameters: Parameters) -> Names:
         """Columns that the demand needs with these parameters."""
@@ -80,18 +74,13 @@ CRITERIA = {
 }
 
 
-#: fields that a criterion shares with the nomenclature of its demand
-_OF_QUANTITY = ("name", "symbol", "dimension", "display", "follows", "place", "needs")
-
-
 def _demand_quantity(entry: Criterion) -> Quantity:
     """The nomenclature of a demand; with a rate effect its meaning says that it is included."""
     meaning = entry.measures
     if "rate_0" in entry.optional and entry.quantity is not None:
         label = meaning.partition(":")[0]
         meaning = f"{label} divided by the strain-rate strengthening factor"
-    shared = {key: getattr(entry, key) for key in _OF_QUANTITY}
-    return Quantity(**shared, meaning=meaning, fracture=True)
+    return replace(entry, meaning=meaning)
 
 
 #: demands of criteria by the criterion; a study adds the limit's name,
@@ -139,16 +128,6 @@ def ranges_of(
         yield name, np.atleast_1d(_chain(parameters, ratio, columns)[name]), low, high
 
 
-def in_range(
-    criterion: Criterion, columns: ColumnMap, parameters: Parameters = MappingProxyType({})
-) -> Flags:
-    """Rows inside the range of the criterion, (n,)."""
-    inside = np.ones(len(columns["a_max"]), dtype=bool)
-    for _, value, low, high in ranges_of(criterion, columns, parameters):
-        inside &= (value >= low) & (value <= high)
-    return inside
-
-
 # --- formulas: functions of the columns of one contact, and of the parameters, by their names -----
 
 
@@ -187,7 +166,7 @@ def _stress(c: ColumnMap, name: str) -> Values:
 
 def _core(c: ColumnMap) -> Values:
     pressure, ratio, nu = _field(c)
-    tension = stress.core_ratio(ratio, nu)[0]
+    tension = stress.core_ratio(ratio, nu)
     if "balance" in c:
         tension = _between(stress.ratio("core_one", ratio, nu), tension, c["balance"])
     return pressure * tension

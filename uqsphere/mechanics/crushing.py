@@ -18,7 +18,7 @@ from uqsphere.arrays import Array, ColumnMap, Values, quiet
 
 from . import contact
 from .criteria import CRITERIA, Parameters, demand
-from .outputs import Columns, pressures_of
+from .outputs import Columns, columns_of_press
 from .yielding import Face
 
 #: a quantity, or a criterion with its parameters
@@ -47,9 +47,9 @@ def value_at(
             effective_radius=radius,
         )
         state = face.pressed(face.depth_at(force))
-        press = pressures_of(state, own["takes"])
+        press = columns_of_press(state, own["takes"])
         stored = 2.0 * state.stored
-        lost = 2.0 * own["takes"] * state.plastic
+        lost = 2.0 * own["takes"] * state.dissipated
     else:
         approach = contact.approach_at_force(force, beta)
         press = {"alpha_max": approach}
@@ -67,8 +67,8 @@ def value_at(
             "effective_radius": radius,
             "hertz_constant": beta,
             "mass": contact.sphere_mass(radius, own["density"]),
-            "P_max": force,
             **press,
+            "P_max": force,
             "first_peak": lambda: columns["p_max"],
             "energy_sphere": share * stored + lost,
             "impact_energy": stored,

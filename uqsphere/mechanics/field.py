@@ -130,9 +130,7 @@ def field_at(
 
 def _pull(number: int, away: Values, towards: Values) -> Values:
     """Tension over rho c0: of the incident bar (0), or of the receiving bar (1)."""
-    if number == 0:
-        return away - towards
-    return towards - away
+    return (1 - 2 * number) * (away - towards)
 
 
 def check_position(motion: Motion, bar: str, position: Values) -> int:

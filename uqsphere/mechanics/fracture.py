@@ -18,7 +18,7 @@ from uqsphere.arrays import Array, Places, Values, quiet
 from .criteria import CRITERIA, Demands, Parameters, demand
 from .integrator.solve import Motion, motions
 from .integrator.tracked import ORDER, TERMS
-from .outputs import OUTPUTS, Columns, columns_of, pressures_of
+from .outputs import OUTPUTS, Columns, columns_of, columns_of_press
 from .roots import bisect
 from .scene import Scene
 
@@ -243,7 +243,7 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
             pressed = {"P_max": value}
             if face is not None:
                 state = face.pressed(face.depth_at(value))
-                pressed |= pressures_of(state, struck.takes[rows])
+                pressed = columns_of_press(state, struck.takes[rows]) | pressed
         return demand(criterion, Columns({**columns, **pressed}), path.parameters)
 
     wanted = share * demand_at(top)

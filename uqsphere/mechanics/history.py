@@ -239,12 +239,14 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
         law = partner.face.at(row)
         reached = np.maximum.accumulate(force)
         peak = law.pressed(law.depth_at(reached))
-        dented = dented or peak.dent.max() > 0.0
-        back = peak.approach - peak.dent
+        dented = dented or peak.dent_left.max() > 0.0
+        back = peak.alpha_max - peak.dent_left
         share = np.where(reached > 0.0, force / reached, 0.0) ** (2.0 / 3.0)
         # a² = r_p (alpha - alpha_r) on the spring, (C9)
-        radii[pole] = np.where(reached > 0.0, peak.radius * np.sqrt(share), 0.0)
-        approaches[pole] = peak.dent + np.where(force > 0.0, back * share, np.minimum(gap, 0.0))
+        radii[pole] = np.where(reached > 0.0, peak.a_max * np.sqrt(share), 0.0)
+        approaches[pole] = peak.dent_left + np.where(
+            force > 0.0, back * share, np.minimum(gap, 0.0)
+        )
     if dented and course.fidelity == "full":
         area = np.pi * np.square(radii)
         return approaches, np.divide(forces, area, out=np.zeros_like(area), where=area > 0.0)

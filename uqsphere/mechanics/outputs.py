@@ -21,21 +21,14 @@ from . import contact
 from .criteria import CRITERIA, DEMANDS, Demands, demand
 from .inputs import declared
 from .integrator.tracked import DOMAIN, NOT_FINITE, WISHES
-from .rigs import wave_loss
 from .scene import Partner, Scene, answered
 from .yielding import Press
 
-#: scale factors of a scene that formulas read in addition to its columns
-_SCALES = (
-    "modulus",
-    "effective_radius",
-    "hertz_constant",
-    "mass",
-    "force",
-    "approach",
-    "time",
-    "speed",
-)
+#: compliance of a half-space under a harmonic point load, nu = 1/4, times rho c_s³ (Reissner;
+#: Miller and Pursey 1954)
+_RADIATION = 0.1486
+#: radiated fraction of the impact energy over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
+_PULSE = 3.80584
 #: quantities that are the demand of a criterion, by their names
 _DEMAND_OF = {entry.quantity: entry for entry in CRITERIA.values() if entry.quantity}
 #: every quantity of interest of the impact model
@@ -100,7 +93,7 @@ class Columns(dict[str, Any]):
 
 def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Any]:
     """Numbers and scale factors of some rows of a scene."""
-    numbers = {**scene.columns, **{name: getattr(scene.scales, name) for name in _SCALES}}
+    numbers = {**scene.columns, **scene.scales._asdict()}
     return {name: column[rows] for name, column in numbers.items()}
 
 
@@ -132,23 +125,16 @@ def wishes(quantities: Collection[str] | None, demands: Demands) -> int:
 # --- contacts that differ, or yield ---------------------------------------------------------------
 
 
-def pressures_of(press: Press, takes: Values) -> dict[str, Array]:
-    """Approach, pressures and contact radius of a contact that yields.
+def columns_of_press(press: Press, takes: Values) -> dict[str, Array]:
+    """Columns of a contact that yields.
 
     `p_field` is the Hertz pressure of the same force on the same circle, from which the stress
     inside the sphere follows.  `p_rim` is the same, except where the sphere `takes` the plastic
     work: there the rim tension is at most Hertz's for the same force.
     """
-    field = 1.5 * press.mean
-    return {
-        "alpha_max": press.approach,
-        "p_max": press.centre,
-        "p_mean": press.mean,
-        "p_hertz": press.hertz,
-        "p_field": field,
-        "p_rim": np.where(takes > 0.0, press.hertz, field),
-        "a_max": press.radius,
-    }
+    field = 1.5 * press.p_mean
+    rim = np.where(takes > 0.0, press.p_hertz, field)
+    return {**press._asdict(), "p_field": field, "p_rim": rim}
 
 
 def _side(scene: Scene, partner: Partner, x: Array) -> Columns:
@@ -158,13 +144,7 @@ def _side(scene: Scene, partner: Partner, x: Array) -> Columns:
     approach = scales.approach * x
     if partner.face is not None:
         state = partner.face.pressed(approach / partner.face.onset_approach)
-        return Columns(
-            **pressures_of(state, partner.takes),
-            P_max=state.force,
-            dent_left=state.dent,
-            dissipated=state.plastic,
-            stored=state.stored,
-        )
+        return Columns(columns_of_press(state, partner.takes))
     return Columns(
         modulus=partner.modulus,
         effective_radius=partner.effective_radius,
@@ -278,7 +258,9 @@ def loss_to_waves(scene: Scene) -> Values | None:
         return None
     scales, (E, nu, density) = scene.scales, scene.numbers(ahead.table, "E nu density")
     shear_speed = np.sqrt(E / (2.0 * (1.0 + nu) * density))
-    return wave_loss(scales.hertz_constant, scales.mass, scales.speed, density, shear_speed)
+    compliance = _RADIATION / (density * shear_speed**3)
+    contact_factor = scales.hertz_constant**1.2 * scales.mass**-0.2
+    return _PULSE * compliance * contact_factor * scales.speed**0.6
 
 
 def _carries(partner: Partner) -> bool:

@@ -121,11 +121,9 @@ def _step(duration: Array, numbers: ColumnMap) -> Pulse:
 
 
 def _trapezoid(duration: Array, numbers: ColumnMap) -> Pulse:
-    return _stepped(duration, numbers["rise"], numbers["fall"], numbers.get("striker_ratio"))
-
-
-def _ramp(duration: Array, numbers: ColumnMap) -> Pulse:
-    return _trapezoid(duration, {**numbers, "fall": np.zeros_like(duration)})
+    # a ramp has no fall
+    fall = numbers.get("fall", np.zeros_like(duration))
+    return _stepped(duration, numbers["rise"], fall, numbers.get("striker_ratio"))
 
 
 def _half_sine(duration: Array, numbers: ColumnMap) -> Pulse:
@@ -151,7 +149,7 @@ def _two_peak(duration: Array, numbers: ColumnMap) -> Pulse:
 SHAPES = {
     "rectangular": _rectangular,
     "trapezoid": _trapezoid,
-    "ramp": _ramp,
+    "ramp": _trapezoid,
     "half_sine": _half_sine,
     "two_peak": _two_peak,
     "step": _step,

@@ -5,7 +5,7 @@ block, a platen).  Its contact with the sphere has a reduced modulus, a radius a
 contact law.
 
 A new rig of known tables is one entry of `RIGS`.  A new table also needs its keys in `forms.FORMS`,
-their numbers in ``inputs.csv``, and its keys in a study (`uqsphere.study.document`).
+their numbers in ``inputs.toml``, and its keys in a study (`uqsphere.study.document`).
 Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 
@@ -75,11 +75,6 @@ LARGEST_LAM = 3.0
 #: ranges of M/m_A and kappa in which the equations are solved
 MASS_RATIO = (1e-7, 1e3)
 STIFFNESS_RATIO = (1e-3, 1e3)
-#: compliance of a half-space under a harmonic point load, nu = 1/4, times rho c_s³ (Reissner;
-#: Miller and Pursey 1954)
-_RADIATION = 0.1486
-#: radiated fraction of the impact energy over D beta^1.2 M^-0.2 v^0.6 for Hertz's P(t), (R14)
-_PULSE = 3.80584
 
 
 @frozen
@@ -221,15 +216,3 @@ def drop_speed(height: Values, radius: Values, density: Values) -> Values:
 def terminal_speed(radius: Values, density: Values) -> Values:
     """Terminal speed v_t [m/s] of a sphere in air: v_t² = 8 r rho g/(3 C_D rho_air)."""
     return np.sqrt(8.0 * radius * density * GRAVITY / (3.0 * _DRAG * _AIR))
-
-
-def wave_loss(
-    hertz_constant: Values, mass: Values, speed: Values, density: Values, shear_speed: Values
-) -> Values:
-    """Fraction of the impact energy that a half-space radiates, (R14).
-
-    Source: S. C. Hunter, J. Mech. Phys. Solids 5 (1957) 162.
-    """
-    compliance = _RADIATION / (density * shear_speed**3)
-    contact_factor = hertz_constant**1.2 * mass**-0.2
-    return _PULSE * compliance * contact_factor * speed**0.6

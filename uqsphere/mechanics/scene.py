@@ -444,7 +444,8 @@ class Scene:
             return self.pulse.valid & ~(2.0 * c["sphere.radius"] > c["bars.diameter"])
         inside = np.ones(len(self), dtype=bool)
         for partner in self.there:
-            if partner.kind == "plate" or (behind is None and partner.kind == "bar"):
+            # it is 0 for a body without waves, and a rod under a weight is not limited
+            if behind is None or partner.kind == "plate":
                 inside &= scales.force / (partner.impedance * scales.speed) <= LARGEST_LAM
         if behind is not None:
             inside &= _between(ahead.hertz_constant / behind.hertz_constant, STIFFNESS_RATIO)

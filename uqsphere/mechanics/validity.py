@@ -8,14 +8,14 @@ are excluded.  Thresholds and sentences are in ``validity.toml``.
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import field
-from functools import reduce
+from functools import partial, reduce
 
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Names, Places, Values, frozen, quiet
 
 from . import bars, contact
-from .criteria import CRITERIA, Demands, Parameters, in_range, ranges_of
+from .criteria import CRITERIA, Demands, Parameters, ranges_of
 from .inputs import declared
 from .outputs import SceneAnswers, loss_to_waves
 from .rigs import GRAVITY, sphere_body, terminal_speed
@@ -45,6 +45,7 @@ class Rule:
     rising: bool = True
     law: str = ""
     movers: Names = ()
+    ahead: str = ""
     needs: str = ""
 
     @property
@@ -57,6 +58,7 @@ class Rule:
         return (
             self.law in ("", scene.contact_law)
             and (not self.movers or scene.setup.mover in self.movers)
+            and self.ahead in ("", scene.partners[1].kind)
             and (not self.needs or self.needs in scene.columns)
         )
 
@@ -111,6 +113,8 @@ class Measures(dict[str, Values]):
         self.good = answered(answers.status)
         self.sphere = sphere_body(scene.columns)
         self.partner = softest_partner(scene)
+        #: numbers of the counter-body ahead, by their keys
+        self.ahead = partial(scene.numbers, scene.partners[1].table)
         self.faces = [partner.face for partner in scene.there if partner.face is not None]
 
     # --- contact and yield ---
@@ -122,9 +126,9 @@ class Measures(dict[str, Values]):
         imbalance = self.get("force_imbalance", np.inf)
         return np.where(imbalance > 0.1, self.small_contact(), np.nan)
 
-    def contact_on_bar_end(self) -> Values | None:
-        contact_diameter = 2.0 * self["a_max"]
-        return _extreme(np.maximum, [contact_diameter / diameter for diameter, _ in self._bars()])
+    def contact_on_bar_end(self) -> Values:
+        (diameter,) = self.ahead("diameter")
+        return 2.0 * self["a_max"] / diameter
 
     def bar_yield_contact(self) -> Values:
         return _over_onset(self["p_max"], self.partner.onset)
@@ -156,8 +160,8 @@ class Measures(dict[str, Values]):
         rows = np.flatnonzero(self.good & np.isfinite(body.onset) & np.isfinite(body.hardness))
         face = law.at(rows)
         press = face.pressed(face.depth_at(self["P_max"][rows]))
-        centre = press.centre[np.isfinite(press.centre)]
-        dent = press.dent[np.isfinite(press.dent)]
+        centre = press.p_max[np.isfinite(press.p_max)]
+        dent = press.dent_left[np.isfinite(press.dent_left)]
         if len(centre) == 0 or len(dent) == 0:
             return ""
         pressure = f"{centre.max() / 1e9:.3g} GPa"
@@ -175,10 +179,12 @@ class Measures(dict[str, Values]):
     plastic_range = pressure_shape = dented
 
     def deep_dent(self) -> Values | None:
-        return self._at_peak(lambda face, depth: face.pressed(depth).dent / face.effective_radius)
+        return self._at_peak(
+            lambda face, depth: face.pressed(depth).dent_left / face.effective_radius
+        )
 
     def _dents(self) -> str:
-        depths = self._at_peak(lambda face, depth: face.pressed(depth).dent)
+        depths = self._at_peak(lambda face, depth: face.pressed(depth).dent_left)
         assert depths is not None
         deepest = np.nanmax(depths[self.good])
         text = f". Residual indentation: up to {1e6 * deepest:.2g} um"
@@ -207,15 +213,6 @@ class Measures(dict[str, Values]):
         return 3.0 * self["a_max"] / self.scene.column("bars.insert_thickness")
 
     # --- waves in the sphere, in bars and in plates ---
-
-    def _bars(self) -> list[tuple[Array, Array]]:
-        """Diameters and wave speeds of the counter-bodies that are bars."""
-        pairs = []
-        for partner in self.scene.there:
-            if partner.kind == "bar":
-                diameter, E, density = self.scene.numbers(partner.table, "diameter E density")
-                pairs.append((diameter, bars.wave_speed(E, density)))
-        return pairs
 
     def bar_yield_pulse(self) -> Values:
         level = 1.0
@@ -249,10 +246,13 @@ class Measures(dict[str, Values]):
         speed = bars.wave_speed(self["sphere.E"], self["sphere.density"])
         return self[time] * speed / (2.0 * self["sphere.radius"])
 
-    def one_dimensional_rod(self) -> Values | None:
-        rise = self["rise_time"]
-        ratios = [rise * speed / (0.5 * diameter) for diameter, speed in self._bars()]
-        return _extreme(np.minimum, ratios)
+    def one_dimensional_rod(self) -> Values:
+        return self._bar_transits(self["rise_time"])
+
+    def _bar_transits(self, time: Values) -> Values:
+        """Wave transits of the radius of a bar in a time."""
+        diameter, E, density = self.ahead("diameter E density")
+        return time * bars.wave_speed(E, density) / (0.5 * diameter)
 
     def one_dimensional_bars(self) -> Values | None:
         scene = self.scene
@@ -266,8 +266,7 @@ class Measures(dict[str, Values]):
             rise = scene.record.rise / 0.8
         elif scene.shape == "two_peak":
             rise = np.minimum(breaks[:, 1], breaks[:, 4] - breaks[:, 3])
-        diameter, speed = self._bars()[0]
-        return rise * speed / (0.5 * diameter)
+        return self._bar_transits(rise)
 
     def ideal_pulse(self) -> Values | None:
         if self.scene.shape not in ("rectangular", "step"):
@@ -291,37 +290,24 @@ class Measures(dict[str, Values]):
             return None
         return self["loaded_time"] / self.scene.first_echo
 
-    def _plate(self) -> list[Array] | None:
-        """E, nu, density, thickness and width of the counter-body that is a plate."""
-        for partner in self.scene.there:
-            if partner.kind == "plate":
-                return self.scene.numbers(partner.table, "E nu density thickness width")
-        return None
-
-    def thin_plate(self) -> Values | None:
+    def thin_plate(self) -> Values:
         """Thickness over contact radius, or wave transits of the thickness if fewer, but at least
         2.
 
         A plate that is thick for the contact time is no failure: the kind `thick` fits it better.
         """
-        plate = self._plate()
-        if plate is None:
-            return None
-        E, nu, density, thickness, _ = plate
+        E, nu, density, thickness = self.ahead("E nu density thickness")
         sound = np.sqrt(E * (1.0 - nu) / (density * (1.0 + nu) * (1.0 - 2.0 * nu)))
         transits = self["loaded_time"] * sound / (2.0 * thickness)
         return np.minimum(thickness / self["a_max"], np.maximum(transits, 2.0))
 
-    def plate_edge(self) -> Values | None:
+    def plate_edge(self) -> Values:
         """Contact time over the return time of the flexural wave from the plate edge.
 
         The group speed is that of a half period equal to the contact time t, c_g = 2 (D/(rho
         h))^(1/4) sqrt(pi/t), over a path of one width.
         """
-        plate = self._plate()
-        if plate is None:
-            return None
-        E, nu, density, thickness, width = plate
+        E, nu, density, thickness, width = self.ahead("E nu density thickness width")
         loaded = self["loaded_time"]
         bending = E * np.square(thickness) / (12.0 * (1.0 - nu * nu) * density)
         return loaded * 2.0 * bending**0.25 * np.sqrt(np.pi / loaded) / width
@@ -483,22 +469,16 @@ def _check_range(
 ) -> ValidityCheck:
     criterion = CRITERIA[key]
     grades = np.zeros_like(good, dtype=int)
-    check = f"range_of_{quantity}"
-    if not good.any():
-        return ValidityCheck(check=check, grades=grades)
-    inside = in_range(criterion, columns, parameters)
-    grades[good] = np.where(inside, 0, 2)
+    outside = []
+    for name, values, low, high in ranges_of(criterion, columns, parameters):
+        grades[good] = np.where((values >= low) & (values <= high), grades[good], 2)
+        ends = ((values.min(initial=low), low), (values.max(initial=high), high))
+        texts = [f"{end:.3g}" for end, limit in ends if end != limit]
+        if texts:
+            outside.append(f"{_SYMBOLS.get(name, name)} = {' to '.join(texts)}")
     text = ""
-    share = float((~inside).mean())
+    share = float(np.count_nonzero(grades) / max(good.sum(), 1))
     if share > 0.0:
-        outside = []
-        for name, values, low, high in ranges_of(criterion, columns, parameters):
-            least = values.min()
-            most = values.max()
-            ends = ((least, least < low), (most, most > high))
-            texts = [f"{end:.3g}" for end, beyond in ends if beyond]
-            if texts:
-                outside.append(f"{_SYMBOLS.get(name, name)} = {' to '.join(texts)}")
         consequence = "the formula is extrapolated"
         if "equal forces" in criterion.range_text:
             consequence = "the value at the table edge is used"
@@ -506,4 +486,6 @@ def _check_range(
             f"{_rows_text(share)}: {criterion.name} is outside its range "
             f"({criterion.range_text}), {', '.join(outside)}; {consequence}"
         )
-    return ValidityCheck(check=check, shares=(0.0, share, 0.0), text=text, grades=grades)
+    return ValidityCheck(
+        check=f"range_of_{quantity}", shares=(0.0, share, 0.0), text=text, grades=grades
+    )

@@ -165,22 +165,22 @@ _FIRST_LOADING = first_loading(np.where)
 
 
 class Press(NamedTuple):
-    """State of a contact at its largest approach, (n,) each in SI.
+    """State of a contact at its largest approach, (n,) each in SI; named as columns of answers are.
 
-    approach, force, radius: at the largest approach.  mean, centre: pressures there.  hertz: peak
-    pressure of an elastic contact at the same force.  dent: residual indentation.  stored: elastic
-    energy.  plastic: plastic work.
+    alpha_max, P_max, a_max: approach, force and radius there.  p_mean, p_max: mean pressure, and
+    that of the centre.  p_hertz: peak pressure of an elastic contact at the same force.  dent_left:
+    residual indentation.  stored: elastic energy.  dissipated: plastic work.
     """
 
-    approach: Array
-    force: Array
-    radius: Array
-    mean: Array
-    centre: Array
-    hertz: Array
-    dent: Array
+    alpha_max: Array
+    P_max: Array
+    a_max: Array
+    p_mean: Array
+    p_max: Array
+    p_hertz: Array
+    dent_left: Array
     stored: Array
-    plastic: Array
+    dissipated: Array
 
 
 @frozen
@@ -258,9 +258,9 @@ class Face:
     def depth_at(self, force: Array) -> Array:
         """z at which first loading reaches the force P [N]."""
         ratio = np.maximum(force, 0.0) / self.onset_force
-        # b = 0 is the softest law, with the largest depth; L is convex
-        start = 1.0 + (np.maximum(ratio, 1.0) - 1.0) / 1.5
         beyond = np.maximum(ratio, 1.0)
+        # b = 0 is the softest law, with the largest depth; L is convex
+        start = 1.0 + (beyond - 1.0) / 1.5
         depth = newton(lambda z: (self.force(z) - beyond) / self.slope(z), start, 1.0)
         return np.where(ratio > 1.0, depth, np.cbrt(np.square(ratio)))
 
@@ -269,8 +269,9 @@ class Face:
         work = energy / (self.onset_force * self.onset_approach)
         # b = 0 goes deepest, W = 0.4 + (z - 1) + 0.75 (z - 1)²; W is convex, so that Newton's
         # method converges from above
-        start = 1.0 + (np.sqrt(np.maximum(1.0 + 3.0 * (work - 0.4), 1.0)) - 1.0) / 1.5
-        depth = newton(lambda z: (self.work(z) - np.maximum(work, 0.4)) / self.force(z), start, 1.0)
+        beyond = np.maximum(work, 0.4)
+        start = 1.0 + (np.sqrt(1.0 + 3.0 * (beyond - 0.4)) - 1.0) / 1.5
+        depth = newton(lambda z: (self.work(z) - beyond) / self.force(z), start, 1.0)
         return np.where(work > 0.4, depth, (work / 0.4) ** 0.4)
 
     @quiet
@@ -294,15 +295,15 @@ class Face:
         beyond = hardness - (hardness - mean) * (hardness - p_y) / (hardness - (2.0 / 3.0) * p_y)
         stored = 0.4 * ratio * recovered
         return Press(
-            approach=depth * alpha_y,
-            force=force,
-            radius=np.sqrt(area * self.effective_radius * alpha_y),
-            mean=mean,
-            centre=np.where(depth > 1.0, beyond, p_y * np.sqrt(np.maximum(depth, 0.0))),
-            hertz=contact.pressure_at_force(force, self.modulus, self.effective_radius),
-            dent=np.where(depth > 1.0, (depth - recovered) * alpha_y, 0.0),
+            alpha_max=depth * alpha_y,
+            P_max=force,
+            a_max=np.sqrt(area * self.effective_radius * alpha_y),
+            p_mean=mean,
+            p_max=np.where(depth > 1.0, beyond, p_y * np.sqrt(np.maximum(depth, 0.0))),
+            p_hertz=contact.pressure_at_force(force, self.modulus, self.effective_radius),
+            dent_left=np.where(depth > 1.0, (depth - recovered) * alpha_y, 0.0),
             stored=stored * force_y * alpha_y,
-            plastic=np.where(depth > 1.0, (self.work(depth) - stored) * force_y * alpha_y, 0.0),
+            dissipated=np.where(depth > 1.0, (self.work(depth) - stored) * force_y * alpha_y, 0.0),
         )
 
     def restitution(self, depth: Array) -> Values:

@@ -154,7 +154,7 @@ class Motion:
             return np.zeros_like(force)
         if self.forces is not None and partner.face is not None and partner.face.own[self.row]:
             law = partner.face.at(self.row)
-            return law.pressed(law.depth_at(np.asarray(force))).centre
+            return law.pressed(law.depth_at(np.asarray(force))).p_max
         return contact.pressure_at_force(
             force, partner.modulus[self.row], partner.effective_radius[self.row]
         )
