@@ -99,7 +99,7 @@ def test_answers_of_a_row_agree(rig: str, kind: str, law: str) -> None:
     assert good.mean() > 0.5, answers.status
     values = {name: column[good] for name, column in answers.values.items()}
     columns = {name: column[good] for name, column in scene.columns.items()}
-    _agree_on_loading(values, columns, one_contact=scene.setup.contacts == 1)
+    _agree_on_loading(values, columns, one_contact=not scene.setup.behind)
     if scene.setup.by_impact:
         mass, mover = scene.scales.mass[good], scene.partners[0]
         if mover is not None:

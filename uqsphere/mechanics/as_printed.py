@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Values, frozen
+from uqsphere.arrays import Values
 from uqsphere.units import UNITS
 
 from .closed_form import massless_approach, solve_closed
@@ -53,13 +53,12 @@ class PaperValue(NamedTuple):
     note: str
 
 
-@frozen
-class PaperLine:
-    """A `PaperValue` as people read it: numbers in `unit`, None where there is no value."""
+class PaperLine(NamedTuple):
+    """A `PaperValue` as people read it: numbers in `unit`, NaN where there is no value."""
 
     name: str
     printed: float
-    corrected: float | None
+    corrected: float
     unit: str
     note: str
 
@@ -99,14 +98,15 @@ def paper_line(value: PaperValue) -> PaperLine:
     entry = OUTPUTS[value.unit_of]
     unit = entry.display or entry.unit
     factor = 1.0 / UNITS[entry.dimension].get(unit, 1.0)
-    corrected = None
-    if math.isfinite(value.corrected):
-        corrected = value.corrected * factor
     note = value.note
     if math.isfinite(value.full):
         note += f"; full model: {value.full * factor:.4g} {unit}".rstrip()
     return PaperLine(
-        name=value.name, printed=value.printed * factor, corrected=corrected, unit=unit, note=note
+        name=value.name,
+        printed=value.printed * factor,
+        corrected=value.corrected * factor,
+        unit=unit,
+        note=note,
     )
 
 

@@ -152,8 +152,7 @@ def _massless(scene: Scene) -> ColumnMap:
     # x' = f - q: the impulse is that of the pulse minus the remaining approach, zero at the end of
     # the tail
     after = np.maximum(ended - theta, 0.0)
-    remaining = np.where(ended > theta, relaxing_approach(peak, after), peak)
-    remaining = np.where(np.isfinite(horizon), remaining, 0.0)
+    remaining = np.where(np.isfinite(horizon), relaxing_approach(peak, after), 0.0)
     return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), peak),
         **dict.fromkeys(("contact", "ended", "parting"), ended),

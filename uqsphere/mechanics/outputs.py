@@ -272,7 +272,7 @@ def _carries(partner: Partner) -> bool:
 _LACKING: tuple[tuple[str, Callable[[Scene], bool], str], ...] = (
     (
         "difference",
-        lambda s: s.setup.contacts == 1,
+        lambda s: not s.setup.behind,
         "there is only one contact, so that the imbalance is 1 by definition",
     ),
     (

@@ -124,11 +124,6 @@ class Rig:
         return self.mover == "hammer"
 
     @property
-    def contacts(self) -> int:
-        """Number of contacts of the sphere."""
-        return 2 if self.behind else 1
-
-    @property
     def tables(self) -> Names:
         """Tables of a study that belong to this rig."""
         of_wave = ("striker", "pulse") if self.by_wave else ()

@@ -71,26 +71,20 @@ def ratio(name: str, contact_ratio: Values, nu: Values, modulus: float | None = 
         matrix = matrix @ chebvander(inverse, matrix.shape[2] - 1)[0]
         bounds = POISSON_WEIBULL
     parts = np.broadcast_arrays(contact_ratio, nu)
-    a, v = (part.ravel() for part in parts)
+    size = parts[0].size
+    # always whole chunks: products of matrices add up in an order that depends on their shape, and
+    # a row must not depend on how many others come with it
+    a, v = (np.pad(part.ravel(), (0, -size % _CHUNK)) for part in parts)
     low, high = np.log(CONTACT_RATIO)
     degree_a, degree_v = np.subtract(matrix.shape, 1)
     out = np.empty(len(a))
     for start in range(0, len(a), _CHUNK):
         piece = slice(start, start + _CHUNK)
-        logarithm = np.log(np.maximum(_whole(a[piece]), 1e-300))
+        logarithm = np.log(np.maximum(a[piece], 1e-300))
         first = chebvander(_unit(logarithm, low, high), degree_a)
-        second = chebvander(_unit(_whole(v[piece]), *bounds), degree_v)
-        out[piece] = np.einsum("nj,nj->n", first @ matrix, second)[: len(out[piece])]
-    return np.exp(out).reshape(parts[0].shape)
-
-
-def _whole(piece: Array) -> Array:
-    """Always as many rows: products of matrices add up in an order that depends on their shape, and
-    a row must not depend on how many others come with it.
-    """
-    if len(piece) == _CHUNK:
-        return piece
-    return np.pad(piece, (0, _CHUNK - len(piece)), mode="edge")
+        second = chebvander(_unit(v[piece], *bounds), degree_v)
+        out[piece] = np.einsum("nj,nj->n", first @ matrix, second)
+    return np.exp(out[:size]).reshape(parts[0].shape)
 
 
 def _unit(value: Values, low: float, high: float) -> Values:

@@ -161,7 +161,7 @@ def first_loading(select: Formula, compiled: Formula = lambda function: function
     return FirstLoading(force, slope, area, area_shape, work)
 
 
-_FIRST_LOADING = first_loading(np.where)
+_FIRST_LOADING = first_loading(np.where, quiet)
 
 
 class Press(NamedTuple):
@@ -235,22 +235,18 @@ class Face:
         """P_y [N], (C2)."""
         return (2.0 / 3.0) * math.pi * self.onset * self.effective_radius * self.onset_approach
 
-    @quiet
     def force(self, depth: Array) -> Values:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
         return _FIRST_LOADING.force(depth, self.softening)
 
-    @quiet
     def slope(self, depth: Array) -> Values:
         """dL/dz on first loading, (C4)."""
         return _FIRST_LOADING.slope(depth, self.softening)
 
-    @quiet
     def area(self, depth: Array) -> Values:
         """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
         return _FIRST_LOADING.area(depth, self.softening, self.pile_up)
 
-    @quiet
     def work(self, depth: Array) -> Values:
         """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
         return _FIRST_LOADING.work(depth, self.softening)

@@ -5,7 +5,6 @@ import itertools
 import math
 import platform
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -115,7 +114,7 @@ def results_of(
         decisions=decisions,
         evidence=design.evidence,
         checks=[CheckEntry(**check.model_dump(exclude={"failures"})) for check in checks],
-        paper=[PaperRow(**asdict(line)) for line in paper_lines(study)],
+        paper=[PaperRow(**line._asdict()) for line in paper_lines(study)],
         accuracy=AccuracyEntry(
             required=study.analysis.accuracy.model_dump(),
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],

@@ -157,7 +157,7 @@ def _rows(course: Course) -> Iterator[tuple[str, str]]:
                 yield f"waves overlap at the gauge {record.name}", text
     for line in paper_lines(study):
         corrected = "no value"
-        if line.corrected is not None:
+        if math.isfinite(line.corrected):
             corrected = f"{line.corrected:.4g} {line.unit}".rstrip()
         printed = f"{line.printed:.4g} {line.unit}".rstrip()
         text = f"printed {printed}, corrected {corrected} ({line.note})"
