@@ -16,11 +16,12 @@ from scipy.stats import weibull_min
 import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
-from uqsphere.labs.shpb.contact import ContactDocument, face_approach, face_law, fit_contact
+from uqsphere.labs.shpb.contact import ContactDocument, face_approach, fit_contact
 from uqsphere.labs.shpb.plan import PlanDocument, plan_test
 from uqsphere.mechanics.contact import hertz_constant
+from uqsphere.mechanics.yielding import Face
 
-TRUTH = {"modulus": 40e9, "onset": 1.0e9, "hardness": 2.5e9, "pile_up": 2.0}
+TRUTH: dict[str, Any] = {"modulus": 40e9, "onset": 1.0e9, "hardness": 2.5e9, "pile_up": 2.0}
 RADIUS = 5e-3
 
 
@@ -31,7 +32,7 @@ def loading(
         [np.linspace(0.0, top, 400), *([np.linspace(top, 0.0, 300)] if unload else [])]
     )
     largest = np.maximum(np.maximum.accumulate(force), 1e-9)
-    approach = face_approach(force, largest, face_law(radius=RADIUS, **TRUTH))
+    approach = face_approach(force, largest, Face(effective_radius=np.array(RADIUS), **TRUTH))
     rng = np.random.default_rng(1)
     path = 2.0 * approach + compliance * force + 1e-5 + noise * rng.standard_normal(len(force))
     return pd.DataFrame({"u [um]": path * 1e6, "F [N]": force})
@@ -45,7 +46,8 @@ def fit(frame: pd.DataFrame, folder: Path, **keys: Any) -> Any:
 
 def test_a_face_is_hertz_below_its_onset() -> None:
     force = np.array([5.0, 20.0])
-    law = face_law(radius=RADIUS, modulus=40e9, onset=50e9, hardness=100e9, pile_up=2.0)
+    numbers: dict[str, Any] = {"modulus": 40e9, "onset": 50e9, "hardness": 100e9, "pile_up": 2.0}
+    law = Face(effective_radius=np.array(RADIUS), **numbers)
     elastic = face_approach(force, force, law)
     np.testing.assert_allclose(
         elastic, np.cbrt(np.square(force / hertz_constant(40e9, RADIUS))), rtol=1e-9

@@ -8,13 +8,13 @@ first touch follow by least squares of the displacement.
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 from scipy.optimize import least_squares
 
-from uqsphere.arrays import Array, frozen
+from uqsphere.arrays import Array, Values, frozen
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
 from uqsphere.materials import materials_of
@@ -129,18 +129,9 @@ pile_up = {pile_up.value:.4g}    # {pile_up.low:.3g} to {pile_up.high:.3g}
         ]
 
 
-class Loading(NamedTuple):
-    """The samples (n,) of a slow record that are fitted, in its order: displacement [m], force [N]
-    and the largest force so far [N]."""
-
-    displacement: Array
-    force: Array
-    largest: Array
-    notes: list[str]
-
-
-def load_loading(asked: ContactDocument, folder: Path) -> Loading:
-    """The record of an input file.
+def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Array, list[str]]:
+    """The samples (n,) of the record of an input file that are fitted, in its order: displacement
+    [m], force [N] and the largest force so far [N]; and notes.
 
     Raises UsageError for a table without displacement and force, and for a record without
         compression or unloading, or of too few samples.
@@ -183,13 +174,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> Loading:
         )
     kept = kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int)]
     largest = np.maximum.accumulate(force)
-    return Loading(displacement[kept], force[kept], largest[kept], table.notes)
-
-
-def face_law(radius: float, **law: float) -> Face:
-    """The law of a face of a sphere: radius [m]; modulus E*, onset, hardness [Pa]; pile_up."""
-    numbers = {name: np.full(1, value) for name, value in law.items()}
-    return Face(effective_radius=np.full(1, radius), **numbers)
+    return displacement[kept], force[kept], largest[kept], table.notes
 
 
 def face_approach(force: Array, largest: Array, face: Face) -> Array:
@@ -211,18 +196,20 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
     displacement, force, largest, notes = load_loading(asked, folder)
     scale = np.ptp(displacement)
     highest = force.max()
-    radius = 0.5 * asked.diameter
+    radius: Values = 0.5 * asked.diameter
 
     def law_of(x: Array) -> Face:
         """The law of logarithms of E*, onset and H/p_y, of the touch, and of the pile-up if it is
         free."""
-        modulus, onset, ratio = map(math.exp, x[:3])
-        return face_law(
-            radius,
+        # numbers of numpy: a pile-up of 1 divides by zero
+        modulus, onset, ratio = np.array([*map(math.exp, x[:3])])
+        pile_up: Values = asked.pile_up or x[4]
+        return Face(
             modulus=modulus,
             onset=onset,
             hardness=onset * ratio,
-            pile_up=asked.pile_up or x[4],
+            pile_up=pile_up,
+            effective_radius=radius,
         )
 
     def residual(x: Array) -> Array:
@@ -250,7 +237,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
     best = min(fits, key=lambda fitted: fitted.cost)
     left = best.fun
     law = law_of(best.x)
-    depth = law.depth_at(np.full(1, highest))[0]
+    depth = float(law.depth_at(highest))
     # correlated residuals count for fewer
     squares = float(left @ left)
     correlation = float(left[1:] @ left[:-1]) / max(squares, 1e-300)
@@ -266,13 +253,13 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         variance = covariance[first:behind, first:behind].sum()
         return student(spare + 1.0) * math.sqrt(max(variance, 0.0))
 
-    def interval(value: float, first: int, behind: int) -> Fitted:
+    def interval(value: Values, first: int, behind: int) -> Fitted:
         factor = math.exp(reach_of(first, behind))
         return Fitted(value, value / factor, value * factor)
 
-    modulus = interval(law.modulus[0], 0, 1)
-    onset = interval(law.onset[0], 1, 2)
-    hardness = interval(law.hardness[0], 1, 3)
+    modulus = interval(law.modulus, 0, 1)
+    onset = interval(law.onset, 1, 2)
+    hardness = interval(law.hardness, 1, 3)
     misfit = math.sqrt(squares / len(left))
     undetermined = onset.high > _OPEN * onset.low
     if undetermined and misfit > 0.01:
@@ -292,7 +279,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
             f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
             "the intervals are widened"
         )
-    pile_up = law.pile_up[0]
+    pile_up = law.pile_up
     half = reach_of(4, 5)
     # E of the sphere: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p
     soft = 0.0
