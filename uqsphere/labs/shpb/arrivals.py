@@ -38,11 +38,12 @@ class Arrivals(NamedTuple):
 class _Delay(NamedTuple):
     """Predicted and recorded delay of a wave in samples; NaN for an arrival that is not seen.
 
-    signal : of the gauge that the wave passes.
+    signal : of the gauge that the wave passes; ways : from this gauge to its face, there and back.
     """
 
     wave: str
     signal: Signal
+    ways: int
     predicted: float
     seen: float
 
@@ -71,15 +72,13 @@ def find_arrivals(record: Record) -> Arrivals:
             f"{receiving.name}: its wave comes {-there.seen * step * 1e6:.4g} us before the "
             "incident wave. Are the columns exchanged?"
         )
-    fits = 0.5 * back.seen * step * bar.wave_speed
-    doubt_a = _doubt(back, steep, 5.0, fits)
+    doubt_a = _doubt(back, steep, 5.0)
     speed_ratio = 1.0
     if doubt_a:
         doubt_a += " (or another E or density)"
         speed_ratio = back.predicted / max(back.seen, 1.0)
     soft = 0.5 * (wave.falling - wave.half) + _SOFT / step
-    fits = (there.seen * step - bar.passage) * receiving.bar.wave_speed
-    doubt_b = _doubt(there, steep, soft, fits)
+    doubt_b = _doubt(there, steep, soft)
     if doubt_b:
         other = there.predicted / max(there.seen, 1.0)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
@@ -138,8 +137,8 @@ def _delays(record: Record, share: float, window: float) -> tuple[_Delay, _Delay
     transmitted = _crossing(there, level(receiving), 0, receiving.wave.falling + 1) - first
     way = passage + receiving.bar.passage
     return (
-        _Delay("reflected", record.reflected, 2.0 * passage / step, reflected),
-        _Delay("transmitted", receiving, way / step, transmitted),
+        _Delay("reflected", record.reflected, 2, 2.0 * passage / step, reflected),
+        _Delay("transmitted", receiving, 1, way / step, transmitted),
     )
 
 
@@ -150,8 +149,8 @@ def _crossing(values: Array, level: float, begin: int, end: int) -> float:
     return begin + first[0] if len(first) else math.nan
 
 
-def _doubt(delay: _Delay, steep: float, late: float, fits: float) -> str:
-    """Why a delay does not fit the distance of its gauge, where another one fits; empty if it does.
+def _doubt(delay: _Delay, steep: float, late: float) -> str:
+    """Why a delay does not fit the distance of its gauge, and which one fits; empty if it does.
 
     steep : samples in which the wave rises; late : by which it may be late beside this.
     """
@@ -159,8 +158,12 @@ def _doubt(delay: _Delay, steep: float, late: float, fits: float) -> str:
     if not (delay.late < early or delay.late > late + _LATE * delay.predicted + 2.0 * steep):
         return ""
     side = "early" if delay.late < 0.0 else "late"
+    signal = delay.signal
+    bar = signal.bar
+    late_by = delay.late * signal.step
+    fits = bar.gauge + late_by * bar.wave_speed / delay.ways
     would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
     return (
-        f"the {delay.wave} wave comes {abs(delay.late) * delay.signal.step * 1e6:.4g} us too "
-        f"{side} for a gauge at {delay.signal.bar.gauge:.4g} m; {would}"
+        f"the {delay.wave} wave comes {abs(late_by) * 1e6:.4g} us too {side} for a gauge at "
+        f"{bar.gauge:.4g} m; {would}"
     )

@@ -279,7 +279,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
             f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
             "the intervals are widened"
         )
-    pile_up = law.pile_up
+    pile_up: Values = law.pile_up
     half = reach_of(4, 5)
     # E of the sphere: 1/E* = (1-nu²)/E + (1-nu_p²)/E_p
     soft = 0.0

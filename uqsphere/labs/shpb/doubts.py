@@ -89,23 +89,23 @@ def check_impulse(
         return None
     force_a, force_b = motion[:2, first:last]
     known = np.isfinite(force_a)
-    plain = force_a[known].sum() / max(force_b[known].sum(), 1e-300) - 1.0
+    plain = force_a[known].sum() / max(force_b[known].sum(), 1e-300)
     allowed = NORMAL * (gains_sd + zeros_sd / largest.value)
-    gains = [plain]
+    factors = [plain]
     last = max(last, round(peaks["A"].time / step) + 1)
     if np.isfinite(motion[0, :last]).all():
         mass, gain, misfit = _fit_inertia(motion[:, :last], step, heaviest)
         if misfit <= _MISFIT:
-            gains.append(gain)
+            factors.append(1.0 + gain)
             if abs(gain) <= allowed:
                 return mass
-    if abs(plain) > allowed:
-        text = f"A has {1.0 + plain:.3g} times the impulse of B: check gains, zeros and arrivals"
+    if abs(plain - 1.0) > allowed:
+        text = f"A has {plain:.3g} times the impulse of B: check gains, zeros and arrivals"
         for face, peak in peaks.items():
-            factors = [1.0 + gain for gain in gains]
+            ends = [peak.value * factor for factor in factors]
             if face != "B":
-                factors = [1.0 / max(factor, 1e-3) for factor in factors]
-            peaks.doubt(face, text, *(peak.value * factor for factor in factors))
+                ends = [peak.value / max(factor, 1e-3) for factor in factors]
+            peaks.doubt(face, text, *ends)
     return None
 
 

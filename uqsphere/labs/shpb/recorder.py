@@ -49,7 +49,7 @@ _STRAINS = {1.0: "strain", 1e-6: "microstrain"}
 class _Form(NamedTuple):
     """How a file is written: divider and decimal mark, cells of a row, places of numbers.
 
-    whole : rows in which every such place has a number.
+    whole : rows of numbers.
     """
 
     divider: str
@@ -80,20 +80,12 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     looked_at = dict([*live.items()][skipped:][:_LOOKED_AT]) or live
     forms = [_form_of(looked_at, written) for written in _WRITTEN]
     divider, mark, width, places, whole = max(forms, key=lambda f: (min(len(f.places), 2), f.whole))
-    if not (places and whole):
+    if not whole:
         raise TableError(
             f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
         )
     cells = cells_of(live, divider)
-
-    def has_numbers(row: list[str]) -> bool:
-        """Whether a row is one of numbers, not all of them missing."""
-        numbers = [row[place] for place in places if place < len(row)]
-        if len(numbers) < len(places) or not any(numbers):
-            return False
-        return all(_is_number(cell, mark) for cell in numbers)
-
-    first = next(number for number, row in cells.items() if has_numbers(row))
+    first = next(number for number, row in cells.items() if _has_numbers(row, places, mark))
     body = {number: row for number, row in cells.items() if number >= first}
     if divider == "\t":
         body = {number: row + [""] * (width - len(row)) for number, row in body.items()}
@@ -143,13 +135,20 @@ def _form_of(lines: dict[int, str], written: str) -> _Form:
     width = mode([*map(len, rows)] or [0])
     rows = [row for row in rows if len(row) == width]
     places = []
-    with_words = set()
     for place, column in enumerate(zip(*rows, strict=True)):
-        words = {k for k, cell in enumerate(column) if not _is_number(cell, mark)}
-        if any(map(is_number, column)) and 2 * len(words) < len(column):
+        numbers = sum(_is_number(cell, mark) for cell in column)
+        if any(map(is_number, column)) and 2 * numbers > len(column):
             places.append(place)
-            with_words |= words
-    return _Form(divider, mark, width, places, len(rows) - len(with_words))
+    whole = sum(_has_numbers(row, places, mark) for row in rows)
+    return _Form(divider, mark, width, places, whole)
+
+
+def _has_numbers(row: list[str], places: list[int], mark: str) -> bool:
+    """Whether every place of a row has a number, not all of them missing."""
+    numbers = [row[place] for place in places if place < len(row)]
+    if len(numbers) < len(places) or not any(numbers):
+        return False
+    return all(_is_number(cell, mark) for cell in numbers)
 
 
 def _is_number(cell: str, mark: str) -> bool:
@@ -215,9 +214,8 @@ class Column(NamedTuple):
     def rises(self) -> bool:
         """Whether it rises like a time."""
         steps = np.diff(self.values[np.isfinite(self.values)])
-        if self.table.faults or not steps.max(initial=0.0) > 0.0:
-            return False
-        return bool((steps >= 0.0).mean() > 0.99)
+        climbs = steps.max(initial=0.0) > 0.0 and (steps >= 0.0).mean() > 0.99
+        return bool(climbs and not self.table.faults)
 
     def unit(self, key: str = "") -> tuple[str, str]:
         """Dimension and unit of a key or of the heading; the dimension is empty if not known."""
@@ -341,7 +339,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
             f"{table.name}: time falls at sample {np.argmax(falls) + 2}. Does the file contain "
             "several records?"
         )
-    lasts = good[-1] - good[0]
+    lasts = np.ptp(good)
     if lasts > _LONGEST:
         raise UsageError(
             f"{table.name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?"
@@ -439,14 +437,13 @@ def _repeats(column: Column, time: Array, unit: str) -> bool:
     dimension = column.unit(unit)[0]
     if not column.rises or dimension not in ("time", "") or len(column.values) < len(time):
         return False
-    if _is_clock(column, time, unit):
-        return True
-    if dimension == "time":
+    alike = _is_clock(column, time, unit)
+    if dimension == "time" and not alike:
         raise UsageError(
             f"{column.table.name}: column {column.name!r} is a second clock that differs from the "
             "first. Write all channels with one clock"
         )
-    return False
+    return alike
 
 
 def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array:

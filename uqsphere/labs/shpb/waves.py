@@ -134,12 +134,10 @@ def read_test(record: Record) -> Reading:
     mass = None
     if not window.withheld:
         face_a, incident, reflected = _near_face(record, window, peaks, face_b)
-        force_a = np.full(window.length, np.nan)
-        force_a[window.apart] = face_a.force[window.apart]
-        forces = {"A": face_a._replace(force=force_a), "B": face_b}
+        forces = {"A": face_a, "B": face_b}
         peaks.doubt("A", arrivals.doubt_b)
         velocity_a = bar.wave_speed * (reflected - incident)
-        motion = np.array([force_a, force, velocity_a, -behind.wave_speed * transmitted])
+        motion = np.array([face_a.force, force, velocity_a, -behind.wave_speed * transmitted])
         zeros_sd = bar.stiffness * (before.offset + record.reflected.offset)
         zeros_sd += behind.stiffness * receiving.offset
         heaviest = record.document.specimen.heaviest(min(bar.diameter, behind.diameter))
@@ -275,13 +273,12 @@ def _samples(values: Array, first: float, count: int) -> Array:
 
 def _at_face(signal: Signal, first: float, count: int, moves: bool) -> Array:
     """The wave of a gauge behind the specimen from first touch on; `moves`: at the face."""
+    wave = _samples(signal.strain, first, count)
     if not moves:
-        return _samples(signal.strain, first, count)
+        return wave
     more = count + math.ceil(signal.bar.passage / signal.step)
-    more = min(more, len(signal.strain) - 3 - int(first))
-    wave = _samples(signal.strain, first, max(count, more))
-    moved = _moved(wave, signal, -1.0)[:count]
-    wave = wave[:count]
+    longer = _samples(signal.strain, first, min(more, len(signal.strain) - 3 - int(first)))
+    moved = _moved(longer, signal, -1.0)[:count]
     largest = np.abs(moved - wave).max()
     share = largest / max(np.abs(wave).max(), 1e-300)
     text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
@@ -323,6 +320,8 @@ def _near_face(
             )
             reflected = -reflected
     force = -bar.stiffness * (incident + reflected)
+    force[: window.apart.start] = math.nan
+    force[window.apart.stop :] = math.nan
     noise = after.noise**2 + alive * before.noise**2
     offset = after.offset + alive * before.offset
     both = bar.stiffness**2 * (incident**2 + reflected**2)
