@@ -100,11 +100,13 @@ def find_arrivals(record: Record) -> Arrivals:
         shift = 0.0
         if -_EARLY * delay.predicted - 3.0 <= delay.late < -max(1.0, 1e-6 / step):
             shift = delay.late
-            text = (
+            note(
+                delay.signal,
+                "time shift",
                 f"the {delay.wave} wave is shifted by {-shift * step * 1e6:.3g} us: it comes "
-                "earlier than the gauge distances predict"
+                "earlier than the gauge distances predict",
+                shift * step,
             )
-            note(delay.signal, "time shift", text, shift * step)
         arrivals.append(wave.start + (delay.predicted + shift))
     return Arrivals(arrivals[0], arrivals[1])
 

@@ -61,8 +61,12 @@ def check_bending(peaks: Peaks, face: str, spread: Array, step: float, wave: flo
     bending = spread[max(at - 3, 0) : at + 4].mean()
     if 2.0 * bending > _GROSS * wave:
         bar = "incident" if face == "A" else "receiving"
-        text = f"the gauges of the {bar} bar differ by {2.0 * bending / wave:.0%} of the wave there"
-        peaks.doubt(face, text, peak.low - bending, peak.high + bending)
+        peaks.doubt(
+            face,
+            f"the gauges of the {bar} bar differ by {2.0 * bending / wave:.0%} of the wave there",
+            peak.low - bending,
+            peak.high + bending,
+        )
 
 
 def check_impulse(
@@ -113,11 +117,10 @@ def _fit_inertia(motion: Array, step: float, heaviest: float) -> tuple[float, fl
     """Mass [kg], relative error of gain, and largest misfit over the largest integral of B."""
     force_a, force_b, velocity_a, velocity_b = motion
     way = step * np.cumsum(0.5 * (velocity_a + velocity_b))
-    approaches = np.cbrt(np.square(np.maximum(force_a, 0.0)))
-    approaches -= np.cbrt(np.square(np.maximum(force_b, 0.0)))
+    approach_a, approach_b = np.cbrt(np.square(np.maximum(motion[:2], 0.0)))
     impulses = step**2 * np.cumsum(np.cumsum(force_b))
     difference = step**2 * np.cumsum(np.cumsum(force_a - force_b))
-    columns = np.column_stack([way, -approaches, impulses])
+    columns = np.column_stack([way, approach_b - approach_a, impulses])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     bounds = ([0.0, -np.inf, -np.inf], [heaviest * scale[0], np.inf, np.inf])
     fitted = lsq_linear(columns / scale, difference, bounds, method="bvls").x / scale
@@ -125,7 +128,7 @@ def _fit_inertia(motion: Array, step: float, heaviest: float) -> tuple[float, fl
     misfit = np.abs(difference - columns @ fitted).max() / np.abs(impulses).max()
     # no specimen moves faster than a ball that the faster face hits
     momentum = np.abs(step * np.cumsum(force_a - (1.0 + gain) * force_b)).max()
-    fastest = 2.0 * np.maximum(np.abs(velocity_a), np.abs(velocity_b)).max()
+    fastest = 2.0 * np.abs(motion[2:]).max()
     beyond = (momentum - mass * fastest) / np.abs(step * np.cumsum(force_b)).max()
     return mass, gain, max(misfit, beyond)
 
@@ -143,17 +146,21 @@ def check_specimen(
     before = dict(peaks)
     for face, peak in before.items():
         if peak.low > 2.0 * pressed:
-            text = (
+            peaks.doubt(
+                face,
                 f"an incident wave of {pressed * 1e-3:.4g} kN causes at most twice this force, "
-                f"{2.0 * pressed * 1e-3:.4g} kN"
+                f"{2.0 * pressed * 1e-3:.4g} kN",
+                2.0 * pressed,
             )
-            peaks.doubt(face, text, 2.0 * pressed)
         if _WIDE * peak.value < peak.high - peak.low < math.inf:
             half = 0.5 * (peak.high - peak.low) / peak.value
             peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
         if strongest and peak.low > strongest:
-            text = f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)"
-            peaks.doubt(face, text, strongest)
+            peaks.doubt(
+                face,
+                f"the specimen bears at most {strongest * 1e-3:.4g} kN (specimen.strongest)",
+                strongest,
+            )
     if "A" not in before:
         return []
     a = before["A"]
@@ -168,11 +175,13 @@ def check_specimen(
             for face in peaks:
                 peaks.doubt(face, text, a.low, b.low, a.high, b.high)
         if uncommon:
-            text = (
+            peaks.doubt(
+                "mean",
                 f"the peaks of the faces are {abs(a.time - b.time) * 1e6:.4g} us apart: the mean "
-                "has no common peak"
+                "has no common peak",
+                a.high,
+                b.high,
             )
-            peaks.doubt("mean", text, a.high, b.high)
     elif differ or uncommon or apart > EQUILIBRIUM:
         return [
             f"the specimen is not in equilibrium ({both}): its inertia, about {mass * 1e3:.2g} g, "

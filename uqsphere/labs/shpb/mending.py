@@ -178,8 +178,11 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             wave = signal.wave._replace(sign=signal.wave.sign * sign)
             turned.append(signal._replace(strain=signal.strain * sign, wave=wave))
         if names and not polarity:
-            text = "compression is positive in the file; the sign is changed"
-            changes.add("sign", text, signal=", ".join(names))
+            changes.add(
+                "sign",
+                "compression is positive in the file; the sign is changed",
+                signal=", ".join(names),
+            )
         signals[role] = _joined(turned, limit)
     incident = signals["incident"]
     if asked.window:
@@ -448,8 +451,12 @@ def _cut_out(trace: Trace) -> Signal:
     values = trace.strain - start
     noise = _ROBUST * np.median(np.abs(np.diff(values))) / math.sqrt(2.0)
     wave = _first_wave(trace, values, noise)
-    text = f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero"
-    note(trace, "baseline", text, start)
+    note(
+        trace,
+        "baseline",
+        f"cut out at its foot: its first {start * 1e6:.4g} microstrain are its zero",
+        start,
+    )
     return Signal(*trace._replace(strain=values), noise, 0.01 * wave.peak, wave)
 
 
@@ -466,8 +473,7 @@ def _joined(gauges: list[Signal], limit: int) -> Signal:
         if share >= _DEAD:
             alive.append(gauge)
         else:
-            text = f"records {share:.1%} of the wave of its partner and is left out"
-            note(gauge, "gauges", text)
+            note(gauge, "gauges", f"records {share:.1%} of the wave of its partner and is left out")
     if len(alive) == 1:
         return alive[0]._replace(single=len(gauges) > 1)
     first = min(gauge.wave.foot for gauge in alive)
@@ -492,6 +498,10 @@ def _joined(gauges: list[Signal], limit: int) -> Signal:
     )
     wave = _first_wave(joined, mean[:limit], noise)
     bending = spread[wave.foot : wave.end + 1].max()
-    text = f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave"
-    note(joined, "gauges", text, bending)
+    note(
+        joined,
+        "gauges",
+        f"averaged; they differ by up to {2.0 * bending / wave.peak:.1%} of the wave",
+        bending,
+    )
     return joined._replace(wave=wave)

@@ -515,10 +515,11 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
     for trace, values in zip(traces, raw, strict=True):
         good = np.isfinite(values)
         seen = np.concatenate([[-np.inf], time[good], [np.inf]])
-        after = np.searchsorted(seen, grid)
-        before = after - 1
-        gap = seen[after] - seen[before]
-        nearest = np.minimum(grid - seen[before], np.abs(seen[after] - grid))
+        place = np.searchsorted(seen, grid)
+        before = seen[place - 1]
+        after = seen[place]
+        gap = after - before
+        nearest = np.minimum(grid - before, after - grid)
         missing = (nearest > 1e-6 * step) & (gap > 1.5 * step)
         unknown = missing & (gap > (_SHORT_GAP + 1.5) * step)
         filled += (missing & ~unknown).sum()
@@ -558,6 +559,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
     # a coarse clock takes steps of one digit, again and again
     digit = steps.max()
+    samples = np.arange(len(time))
     even = np.linspace(time[0], time[-1], len(time))
     again = (steps > 0.99 * digit).sum() > _FEW_TWICE
     if digit == 0.0 or not again or np.abs(even - time).max() > 1.01 * digit:
@@ -565,11 +567,12 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
             f"two samples have the same time, first at sample {sample}. Remove one of them, or "
             "leave out the time column and set record.sample_interval"
         )
-    text = "the time has too few digits to distinguish its samples: even steps are assumed"
-    changes.add("read", text)
+    changes.add(
+        "read", "the time has too few digits to distinguish its samples: even steps are assumed"
+    )
     # the last time is rounded like the others: a line gives the mean step
-    slope = np.polyfit(np.arange(len(time)), time - time[0], 1)[0]
-    return time[0] + slope * np.arange(len(time)), raw
+    slope = np.polyfit(samples, time - time[0], 1)[0]
+    return time[0] + slope * samples, raw
 
 
 def _is_even(time: Array, tolerance: float) -> bool:

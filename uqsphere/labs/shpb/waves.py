@@ -127,8 +127,12 @@ def read_test(record: Record) -> Reading:
     peaks.doubt("B", arrivals.doubt_b)
     if arrivals.speed_ratio != 1.0:
         other = peaks["B"].value * arrivals.speed_ratio**2
-        text = f"if E is wrong in place of a distance, the force is {other * 1e-3:.4g} kN"
-        peaks.doubt("B", text, 0.98 * other, 1.02 * other)
+        peaks.doubt(
+            "B",
+            f"if E is wrong in place of a distance, the force is {other * 1e-3:.4g} kN",
+            0.98 * other,
+            1.02 * other,
+        )
     forces = {"B": face_b}
     energies = None
     mass = None
@@ -154,11 +158,12 @@ def read_test(record: Record) -> Reading:
                 "absorbed": offered - (returned + passed),
             }
         else:
-            text = (
+            note(
+                before,
+                "overlap",
                 "the incident wave is longer than its way to the face and back: A is known from "
-                f"{window.apart.start * step * 1e6:.4g} to {window.apart.stop * step * 1e6:.4g} us"
+                f"{window.apart.start * step * 1e6:.4g} to {window.apart.stop * step * 1e6:.4g} us",
             )
-            note(before, "overlap", text)
     check_striker(peaks, before, asked.striker_speed)
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
     notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
@@ -237,8 +242,7 @@ def _known_samples(signal: Signal, first: int, aligned: bool) -> int:
     count = len(signal.strain) - 3 - first
     if not aligned:
         count = int(min(count, signal.bar.echo / signal.step))
-    begin = max(first, 0)
-    lost = np.flatnonzero(~signal.known[begin : begin + max(count, 0)])
+    lost = np.flatnonzero(~signal.known[max(first, 0) :])
     return int(lost.min(initial=count))
 
 
@@ -281,8 +285,12 @@ def _at_face(signal: Signal, first: float, count: int, moves: bool) -> Array:
     moved = _moved(longer, signal, -1.0)[:count]
     largest = np.abs(moved - wave).max()
     share = largest / max(np.abs(wave).max(), 1e-300)
-    text = f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave"
-    note(signal, "dispersion", text, largest)
+    note(
+        signal,
+        "dispersion",
+        f"moved to the face by the first mode of a bar: changes of up to {share:.1%} of the wave",
+        largest,
+    )
     return moved
 
 
