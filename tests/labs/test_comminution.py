@@ -174,7 +174,7 @@ def test_thirty_tests_of_one_size_have_the_exact_intervals() -> None:
     assert found.content["laws"]["lognormal"]["log_likelihood"] == pytest.approx(
         case["loglik"], abs=1e-6
     )
-    value = log_likelihoods(found.posterior.models[0], tests, None)
+    value = log_likelihoods(found.posterior.models[0], tests)
     best = np.log([case["mle"]["E50"], case["mle"]["sigma"]])
     assert float(value(best).sum()) == pytest.approx(case["loglik"], abs=1e-9)
 
@@ -194,7 +194,7 @@ def test_intervals_of_go_no_go_come_from_the_tail_that_both_ends_lie_in() -> Non
         priors={"C": (0, 1), "phi": (0, 1), "sigma": (0, 1)},
     )
     x = np.log([100.0 * 0.01**0.5, 0.5, 0.6])
-    found = log_likelihoods(model, tests, 4.0)(x)
+    found = log_likelihoods(model, tests)(x)
     z = np.array([math.log(100.0 / 0.75 / 100.0), 0.0, math.log(380.0 / 0.05 / 100.0)]) / 0.6
     assert found[0] == pytest.approx(math.log(ndtr(z[0])), rel=1e-9)
     assert -2000.0 < found[1] < -500.0  # the far tail, not minus infinity

@@ -33,7 +33,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _run(chosen: argparse.Namespace) -> None:
     from .feed import answer_feed
-    from .fit import UNTESTED, fit
+    from .fit import fit
     from .tests import load_tests
 
     asked = load_document(chosen.file, ComminutionDocument)
@@ -48,7 +48,7 @@ def _run(chosen: argparse.Namespace) -> None:
     }
     text = _fit_text(content)
     warnings = [*fitted["warnings"]]
-    if not low / UNTESTED <= at <= high * UNTESTED:
+    if posterior.is_untested(at):
         extrapolation = f"an extrapolation by the size law {fitted['size']!r}"
         if fitted["size"] == "class":
             extrapolation = "the strength of the nearest tested size"
@@ -90,9 +90,8 @@ def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -
 def _fit_text(content: dict[str, Any]) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
-    sizes = [["size", "tests"]]
-    for answer in ("E50 of the law", "breaks half", "breaks 1 %"):
-        sizes[0] += [answer, LEVEL_TEXT]
+    head_of_sizes = ["size", "tests", "E50 of the law", LEVEL_TEXT]
+    sizes = [[*head_of_sizes, "breaks half", LEVEL_TEXT, "breaks 1 %", LEVEL_TEXT]]
     for size in content["sizes"]:
         row = [f"{size['diameter'] * 1e3:.4g} mm", str(size["tests"])]
         for key in ("E50", "breaks_half", "breaks_1_percent"):

@@ -17,11 +17,6 @@ from uqsphere.labs.files import (
     in_unit,
 )
 
-SpecificEnergy = Annotated[Positive, in_unit("specific_energy")]
-Energy = Annotated[Positive, in_unit("energy")]
-Share = Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
-
-
 #: parameters of the laws
 Parameter = Literal["e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"]
 
@@ -176,8 +171,8 @@ class FeedTable(Section):
 
     sizes: SizesTable
     blows: int = Field(default=1, ge=1, le=1000)
-    specific_energy: SpecificEnergy = 0.0
-    energy: Energy = 0.0
+    specific_energy: Annotated[Positive, in_unit("specific_energy")] = 0.0
+    energy: Annotated[Positive, in_unit("energy")] = 0.0
     speed: Speed = 0.0
     impact_surface: Elastic | None = None
     rebreak: bool = False
@@ -194,7 +189,7 @@ class FeedTable(Section):
 class ProductTable(Section):
     """t10 = A (1 - exp(-b E)) and the curve of t_n; alpha is a number or scatters."""
 
-    A: Share
+    A: Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
     b: Annotated[Positive, in_unit("mass_per_energy")]
     curve: Literal["trr", "milin"] = "trr"
     alpha: float | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)

@@ -37,7 +37,8 @@ def stiffness(body: Elastic) -> float:
 def particle_energies(
     asked: ComminutionDocument, table: Table, diameter: Array, rig: Cells
 ) -> tuple[Array, list[str]]:
-    """The particle's own energy per mass [J/kg] of every row, and notes."""
+    """The particle's own energy per mass [J/kg] of every row, and notes; UsageError for impossible
+    rows."""
     want = asked.tests
     material = asked.material
     notes = []
@@ -69,6 +70,8 @@ def particle_energies(
                 "often 2 to 3 times larger"
             )
         energy = laws.energy_of_force(energy, diameter, modulus, mass)
+    table.refuse("", "the energy must be above 0", energy <= 0.0)
+    table.check()
     if meaning == "sphere":
         return energy, notes
     if not want.partner:
@@ -81,9 +84,8 @@ def particle_energies(
     share = laws.particle_share(stiffness(material), stiffness(want.partner))
     shares = np.full(len(energy), share)
     if meaning == "input":
-        positive = (energy > 0.0) & (diameter > 0.0)
         for falling in (True, False):
-            rows = positive & ((rig == "drop_weight") == falling)
+            rows = (rig == "drop_weight") == falling
             if rows.any():
                 shares[rows], told = offered_shares(
                     asked, want.partner, falling, energy[rows], diameter[rows]

@@ -19,7 +19,7 @@ from uqsphere.tables import read_table
 from . import laws
 from .document import ComminutionDocument, Lognormal, SizesTable
 from .energies import offered_shares
-from .fit import SYNTHETIC, UNTESTED, Posterior, quantiles
+from .fit import SYNTHETIC, Posterior, quantiles
 
 #: draws for which a feed is computed
 DRAWS = 1000
@@ -44,11 +44,14 @@ class Classes(NamedTuple):
     notes: list[str]
 
     @property
+    def lower(self) -> Array:
+        """Lower ends (K,) [m]; the last class ends at half its edge."""
+        return np.append(self.edges[1:], 0.5 * self.edges[-1])
+
+    @property
     def sizes(self) -> Array:
-        """Representative diameters (K,) [m]: geometric means; the last class ends at half its
-        edge."""
-        lower = np.append(self.edges[1:], 0.5 * self.edges[-1])
-        return np.asarray(np.sqrt(self.edges * lower))
+        """Representative diameters (K,) [m]: geometric means."""
+        return np.asarray(np.sqrt(self.edges * self.lower))
 
 
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
@@ -105,8 +108,8 @@ def _sieves(
             f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
             "these are shares, remove percent from the heading"
         )
-    rising = (np.diff(sieve) > 0.0).all() and (np.diff(share) >= 0.0).all()
-    if not rising or sieve[0] <= 0.0 or not 0 < share[-1] <= 1.0001:
+    rising = (np.diff(sieve, prepend=0.0) > 0.0).all() and (np.diff(share) >= 0.0).all()
+    if not rising or not 0 < share[-1] <= 1.0001:
         raise UsageError(
             f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
             "up to 100 %"
@@ -166,10 +169,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     if not density:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
-    draws = len(posterior.law)
-    posterior = posterior.at(np.linspace(0, draws - 1, min(DRAWS, draws)).astype(int))
+    last = len(posterior.law) - 1
+    draws = min(DRAWS, last + 1)
+    posterior = posterior.at(np.linspace(0, last, draws).astype(int))
     rng = np.random.default_rng([asked.seed, 739])
-    edges, mass, _ = classes
+    edges, mass, warnings = classes
     sizes = classes.sizes
     # energy of one blow per mass [J/kg], given in one of three ways; share that a particle absorbs
     each = laws.mass_of(sizes, density)
@@ -179,36 +183,32 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     if feed.impact_surface:
         share, notes = offered_shares(asked, feed.impact_surface, False, offered, sizes)
     taken = offered * share
-    cumulative = broken_by_blow(posterior, taken, sizes, feed.blows)
-    hit = np.ones(len(sizes))
     if feed.undersize == "stays":
-        cumulative[:, -1] = hit[-1] = 0.0
+        taken[-1] = 0.0  # these are not hit
+    cumulative = broken_by_blow(posterior, taken, sizes, feed.blows)
     broken = cumulative[:, :, -1]
     total = broken @ mass
     # the edges of the classes and fourteen finer sieves
-    finer = edges[-1] * feed.sizes.ratio ** -np.arange(1.0, 15.0)
-    sieves = np.unique(np.append(edges, finer))
+    sieves = edges[0] * feed.sizes.ratio ** np.arange(-13.0 - len(edges), 1.0)
     # whole particles are uniform in the logarithm within a class, below the last sieve uniform
-    lower = np.append(edges[1:], 1e-6 * edges[-1])
+    lower = classes.lower
     unbroken = np.clip(np.log(sieves[:, None] / lower) / np.log(edges / lower), 0.0, 1.0)
     unbroken[:, -1] = np.clip(sieves / edges[-1], 0.0, 1.0)
     before = unbroken @ mass
     spread = None
     if product:
         fineness = laws.t10(offered, product.A, product.b)
-        alpha = np.full(1, product.alpha)
-        if isinstance(product.alpha, Lognormal):
-            scatter = product.alpha.log_sd * rng.standard_normal(len(posterior.law))
-            alpha = np.exp(product.alpha.log_mean + scatter)
+        alpha: Any = product.alpha
+        if isinstance(alpha, Lognormal):
+            alpha = rng.lognormal(alpha.log_mean, alpha.log_sd, (draws, 1, 1))
         # share of the fragments of a class that passes a sieve, (D or 1, S, K)
-        ratio = sizes / sieves[:, None]
-        curves = laws.t_n(ratio[None], fineness, product.curve, alpha[:, None, None])
+        curves = laws.t_n(sizes / sieves[None, :, None], fineness, product.curve, alpha)
         if feed.rebreak:  # shares of the fragments of a class that are of another one
             among = curves[:, np.searchsorted(sieves, edges)]
             among[:, 0] = 1.0
             spread = -np.diff(among, axis=1, append=0.0)
     struck, broke, whole = population(cumulative, mass, spread)
-    numbers = {"broken": total, "blows": struck @ hit, "energy [J/kg]": struck @ (hit * taken)}
+    numbers = {"broken": total, "blows": struck @ (taken > 0.0), "energy [J/kg]": struck @ taken}
     passes = []
     if product:
         passing = whole @ unbroken.T
@@ -221,26 +221,23 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         ]
         numbers["t10"] = broke @ fineness / np.maximum(broke.sum(axis=1), 1e-300)
         log_sieves = np.log(sieves)
-        rows = [*passing, before]
-        p80 = np.exp([np.interp(0.8, row, log_sieves) for row in rows])
-        p50 = np.exp([np.interp(0.5, row, log_sieves) for row in passing])
-        numbers |= {"P80 [m]": p80[:-1], "P50 [m]": p50, "F80/P80": p80[-1] / p80[:-1]}
+        reached = [np.interp((0.8, 0.5), row, log_sieves) for row in (before, *passing)]
+        (f80, _), *product_sizes = np.exp(reached)
+        p80, p50 = np.transpose(product_sizes)
+        numbers |= {"P80 [m]": p80, "P50 [m]": p50, "F80/P80": f80 / p80}
         if feed.fines:
             size = math.log(feed.fines)
             numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in passing])
     numbers["never broken"] = 1.0 - total
-    low, high = posterior.tested
-    untested = (sizes < low / UNTESTED) | (sizes > high * UNTESTED)
+    untested = posterior.is_untested(sizes)
 
     # --- where the numbers are extrapolated or assumed
-    warnings = classes.notes
     if asked.tests.synthetic:
         warnings.insert(0, SYNTHETIC)
     if product:
         outside = (offered < _OFFERED[0]) | (offered > _OFFERED[1])
         outside |= (sizes < _DROPPED[0]) | (sizes > _DROPPED[1])
-        broke_of = broke.mean(axis=0)
-        beyond = broke_of[outside].sum() / max(broke_of.sum(), 1e-300)
+        beyond = broke[:, outside].sum() / max(broke.sum(), 1e-300)
         if beyond > 0.01:
             warnings.append(
                 f"{beyond:.0%} of the broken mass is outside the drop-weight tests behind A and b "
@@ -248,6 +245,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
             )
     beyond = mass[untested].sum()
     if beyond > 0.005:
+        low, high = posterior.tested
         warnings.append(
             f"{beyond:.0%} of the feed is outside the tested sizes ({low * 1e3:.3g} to "
             f"{high * 1e3:.3g} mm): its strength is extrapolated"
@@ -283,8 +281,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         few = count < 1e8
         many = np.maximum(count, 1.0)
         drawn = broken.copy()
-        chance = np.clip(drawn[:, few], 0.0, 1.0)
-        drawn[:, few] = rng.binomial(many[few].astype(np.int64), chance) / many[few]
+        drawn[:, few] = rng.binomial(many[few].astype(np.int64), drawn[:, few]) / many[few]
         lots = drawn @ mass
         content["lot"] = {
             "mass": feed.lot,

@@ -41,20 +41,24 @@ FEW = 50
 #: most sizes that are listed
 _MOST_SIZES = 200
 #: ratio to the tested sizes beyond which a strength is extrapolated
-UNTESTED = 1.19
+_UNTESTED = 1.19
 SYNTHETIC = "the tests are synthetic data: the numbers describe no real rock"
 #: nodes of ln gamma between which bounds of repeated blows are interpolated
 _GAMMAS = np.linspace(math.log(0.5), math.log(50.0), 93)
 
 
 class EnergyModel(NamedTuple):
-    """The parameters of one law by the names of their logarithms, with their priors (mean, sd)."""
+    """The parameters of one law by the names of their logarithms, with their priors (mean, sd).
+
+    gamma : the damage exponent where it is given.
+    """
 
     law: str
     size: str
     ratio: float
     priors: dict[str, tuple[float, float]]
     classes: tuple[float, ...] = ()
+    gamma: float | None = None
 
     def median(self, p: Mapping[str, Values], diameter: Values) -> Values:
         """E50 [J/kg] of parameters (not logarithms) at diameters; they broadcast."""
@@ -112,6 +116,11 @@ class Posterior(NamedTuple):
             answers[rows] = function(model.law, values[rows], median, shape, model.ratio)
         return answers
 
+    def is_untested(self, diameter: Values) -> Values:
+        """Whether diameters are outside the tested ones, where a strength is extrapolated."""
+        low, high = self.tested
+        return (diameter < low / _UNTESTED) | (diameter > high * _UNTESTED)
+
     def slope(self, diameter: float) -> Array:
         """Local power (D,) of the size law."""
         step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
@@ -152,16 +161,11 @@ class Fit(NamedTuple):
 # --- likelihood -----------------------------------------------------------------------------------
 
 
-def log_likelihoods(
-    model: EnergyModel, tests: Specimens, gamma: float | None
-) -> Callable[[Array], Array]:
-    """A function from logarithms of parameters (..., d) to log likelihoods (..., s) of specimens.
-
-    gamma : the damage exponent, None where it is one of the parameters.
-    """
+def log_likelihoods(model: EnergyModel, tests: Specimens) -> Callable[[Array], Array]:
+    """A function of logarithms of parameters (..., d): log likelihoods (..., s) of specimens."""
     names = [*model.priors]
     fitted = "gamma" in names
-    nodes = np.exp(_GAMMAS) if fitted else np.array([gamma or 4.0])
+    nodes = np.exp(_GAMMAS) if fitted else np.array([model.gamma or 4.0])
     every = tests.bounds(nodes)
     with np.errstate(divide="ignore"):
         logs = np.log(every)
@@ -192,10 +196,9 @@ def log_likelihoods(
                 (tests.exact, laws.log_density),
                 (~tests.exact, laws.log_between),
             ):
-                if rows.any():
-                    likelihood[..., rows] = function(
-                        model.law, ends[..., rows], median[..., rows], shape, model.ratio
-                    )
+                likelihood[..., rows] = function(
+                    model.law, ends[..., rows], median[..., rows], shape, model.ratio
+                )
         return tests.weight * likelihood
 
     return value
@@ -224,19 +227,20 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
     for name, prior in want.prior.items():
         if name in priors:
             priors[name] = (prior.log_mean, prior.log_sd)
-    return EnergyModel(law, size, want.ratio, priors, sizes)
+    gamma = None if want.gamma == "fit" else want.gamma
+    return EnergyModel(law, size, want.ratio, priors, sizes, gamma)
 
 
 # --- sampling -------------------------------------------------------------------------------------
 
 
 def sample(
-    model: EnergyModel, tests: Specimens, gamma: float | None, rng: np.random.Generator, draws: int
+    model: EnergyModel, tests: Specimens, rng: np.random.Generator, draws: int
 ) -> tuple[Array, dict[str, Any]]:
     """Draws (n, d) of the posterior, and how well the law fits and the draws converged."""
     from scipy.optimize import minimize
 
-    each = log_likelihoods(model, tests, gamma)
+    each = log_likelihoods(model, tests)
     centre, sd = np.array([*model.priors.values()]).T
 
     def value(x: Array) -> Array:
@@ -322,13 +326,12 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
             "broke another of its size. Test more between those energies, or give a prior of sigma "
             "and modulus"
         )
-    gamma = want.gamma if isinstance(want.gamma, float) else None
     models = [model_of(law, asked, tests) for law in laws.LAWS if want.law in (law, "average")]
     chains = []
     about = {}
     for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
-        chain, about[model.law] = sample(model, tests, gamma, rng, asked.draws)
+        chain, about[model.law] = sample(model, tests, rng, asked.draws)
         chains.append(chain)
     weights = special.softmax([law["loo"] for law in about.values()])
     for law, weight in zip(about.values(), weights, strict=True):
@@ -337,18 +340,17 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
     law_of = np.repeat(np.arange(len(models)), np.diff(ends, prepend=0))
     rng = np.random.default_rng([asked.seed, 733])
-    order = rng.permutation(len(law_of))
+    order = rng.permutation(asked.draws)
     parameters: dict[str, Array] = {}
     for k, model in enumerate(models):
         places = np.flatnonzero(law_of == k)
         rows = np.linspace(0, len(chains[k]) - 1, len(places)).astype(int)
         for j, name in enumerate(model.priors):
-            column = parameters.setdefault(name, np.full(len(law_of), np.nan))
+            column = parameters.setdefault(name, np.full(asked.draws, np.nan))
             column[places] = np.exp(chains[k][rows, j])
-    mean, sd = PRIORS["gamma"]
-    parameters.setdefault("gamma", np.exp(mean + sd * rng.standard_normal(len(law_of))))
-    if gamma:
-        parameters["gamma"] = np.full(len(law_of), gamma)
+    if isinstance(want.gamma, float):
+        parameters["gamma"] = np.full(asked.draws, want.gamma)
+    parameters.setdefault("gamma", rng.lognormal(*PRIORS["gamma"], asked.draws))
     posterior = Posterior(
         models=models,
         law=law_of,
@@ -377,14 +379,15 @@ def _described(
     """A fit as plain JSON."""
     want = asked.tests
     warnings = [*tests.notes]
-    priors = {name: prior for model in posterior.models for name, prior in model.priors.items()}
+    fitted = {name: prior for model in posterior.models for name, prior in model.priors.items()}
+    priors = PRIORS | fitted
     parameters = {}
     for name, values in posterior.parameters.items():
-        prior_sd = priors.get(name, PRIORS.get(name, _FLAT))[1]
-        flat = math.isinf(prior_sd)
+        _, prior_sd = priors[name]
+        told = None if math.isinf(prior_sd) else prior_sd
         sd = np.nanstd(np.log(values))
-        parameters[name] = {**quantiles(values), "prior_sd": None if flat else prior_sd, "sd": sd}
-        if name in priors and not flat and sd > 0.7 * prior_sd:
+        parameters[name] = {**quantiles(values), "prior_sd": told, "sd": sd}
+        if name in fitted and sd > 0.7 * prior_sd:
             warnings.append(f"the tests do not determine {name}: its posterior follows the prior")
     if len(about) > 1:
         gap = about["lognormal"]["loo"] - about["weibull"]["loo"]

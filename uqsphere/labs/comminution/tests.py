@@ -119,34 +119,26 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     }.items():
         table.refuse("", message, wrong)
     energy, notes = particle_energies(asked, table, diameter, rig)
-    table.refuse("", "the energy must be above 0", energy <= 0.0)
     names = [*map(str, range(len(table)))]
     if want.specimen:
         names = table.texts(want.specimen)
-    table.finish()
     # rows of one name are the series of blows on one particle; groups have broken and whole ones
     rows_of: dict[str, list[int]] = {}
     for row, name in enumerate(names):
         rows_of.setdefault(name, []).append(row)
     specimens = []
     for rows in rows_of.values():
-        last = rows[-1]
-        early = [row for row in rows[:-1] if broken[row] > 0]
-        if early:
-            raise UsageError(
-                f"{table.name}: line {table.lines[early[0]]}: a specimen is hit again after it "
-                "broke"
-            )
-        if len(rows) > 1 and (particles[rows] > 1).any():
-            raise UsageError(
-                f"{table.name}: line {table.lines[rows[0]]}: a specimen that is hit again must be "
-                "one particle"
-            )
+        *early, last = rows
+        again = [row for row in early if broken[row] > 0]
+        table.refuse("", "a specimen is hit again after it broke", again)
+        groups = [row for row in rows if early and particles[row] > 1]
+        table.refuse("", "a specimen that is hit again must be one particle", groups)
         series = np.repeat(energy[rows], blows[rows].astype(int))
         for broke, number in ((True, broken[last]), (False, particles[last] - broken[last])):
             exact = broke and at_failure[last] and len(series) == 1
             if number > 0:
                 specimens.append((diameter[last], series, broke, exact, number))
+    table.finish()
     diameters, every, ended, known, weights = zip(*specimens, strict=True)
     tests = Specimens(
         diameter=np.array(diameters),
