@@ -61,12 +61,11 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
     top = asked.top
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
-    else:
-        cut = 1.0 - float(passing(np.asarray(top)))
-        if cut > 1e-6:
-            notes.append(_cut(cut, f"top = {top * 1e3:.4g} mm"))
-    edges = top * asked.ratio ** -np.arange(asked.classes + 1, dtype=float)
+    edges = top * asked.ratio ** -np.arange(1.0 + asked.classes)
     share = np.clip(passing(edges), 0.0, None)
+    cut = 1.0 - share[0]
+    if asked.law != "table" and cut > 1e-6:
+        notes.append(_cut(cut, f"top = {top * 1e3:.4g} mm"))
     return Classes(edges, -np.diff(share, append=0.0) / share[0], notes)
 
 
@@ -130,16 +129,15 @@ def _sieves(
         )
     elif left > 1e-4:
         notes.append(_cut(left, "the coarsest sieve"))
-    log_sieve = np.log(sieve)
     # below the finest sieve the share goes with a power of the size, that of the first two sieves
     power = 1.0
     if len(share) > 1 and share[1] > share[0] > 0.0:
-        power = math.log(share[1] / share[0]) / (log_sieve[1] - log_sieve[0])
+        power = math.log(share[1] / share[0], sieve[1] / sieve[0])
 
     def passes(size: Array) -> Array:
-        log_size = np.log(size)
-        below = share[0] * np.exp(power * (log_size - log_sieve[0]))
-        return np.where(log_size < log_sieve[0], below, np.interp(log_size, log_sieve, share))
+        below = share[0] * (size / sieve[0]) ** power
+        between = np.interp(np.log(size), np.log(sieve), share)
+        return np.where(size < sieve[0], below, between)
 
     return passes, top
 
