@@ -180,11 +180,6 @@ REASONS: dict[str, tuple[Callable[[], object], str, Callable[[], object]]] = {
         "tolerance must be between 1e-12 and 1e-2",
         rows(BOX, {"a": [1.0]}, threads=-1),
     ),
-    "columns of rows": (
-        lambda: Model(BOX, good).evaluate(["a"], np.zeros((3, 2)), ["y"]),
-        "rows must have shape (n, 1)",
-        lambda: Model(BOX, good).evaluate(["a", "a"], np.zeros((3, 2)), ["y"]),
-    ),
     "a number of another scene": (
         lambda: scene_of(PRESS, {"sphere.E2": np.ones(1)}),
         "'sphere.E2' is not an input of a scene",

@@ -160,15 +160,10 @@ class Model:
         rows : (n, d), SI.
         columns : q quantities, demands, or outputs of the black box.
 
-        Raises Interrupted once `stop` is true; UsageError for an unknown name; ModelError where a
-        black box returns something of the wrong form, or fails and `analysis.on_failure` is
-        "abort"; AccessError where the cache cannot be used; ExecutorLost where the executor fails.
+        Raises Interrupted once `stop` is true; ModelError where a black box returns something of
+        the wrong form, or fails and `analysis.on_failure` is "abort"; AccessError where the cache
+        cannot be used; ExecutorLost where the executor fails.
         """
-        if rows.ndim != 2 or rows.shape[1] != len(names):
-            raise UsageError(
-                f"rows must have shape (n, {len(names)}), a column for each name, not {rows.shape}"
-            )
-        self.check_names(names, columns)
         if not self.study.black_box:
             return self._evaluate_scene(names, rows, columns)
         answers = self._evaluate_box(names, rows, columns, self._cache)

@@ -222,13 +222,13 @@ def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
-    paths = [path_of(name, study.demands) for name in quantities]
+    paths = (path_of(name, study.demands) for name in quantities)
     fidelity = "full"
     if study.model.fidelity == "massless":
         fidelity = "massless"
     return first_fractures(
         scene_at(study, names, rows),
         shares,
-        [path for path in paths if path],
+        [*filter(None, paths)],
         fidelity=fidelity,
     )

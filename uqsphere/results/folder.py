@@ -22,10 +22,17 @@ RESULTS = "results.json"
 #: files without a checksum
 UNLISTED = {SUMS, ".lock", "log.txt", "cache.sqlite", "cache.sqlite-journal"}
 #: files that a run may have written; another folder is not written into
-OWN = UNLISTED.union(
-    ("study.toml", "files", RESULTS, "answers.csv", "samples.csv", "report.html", "figures"),
-    ("history.csv", "gauges.csv"),
-)
+OWN = UNLISTED | {
+    "study.toml",
+    "files",
+    RESULTS,
+    "answers.csv",
+    "samples.csv",
+    "report.html",
+    "figures",
+    "history.csv",
+    "gauges.csv",
+}
 #: what `uqsphere history` may have written beside a run
 HISTORY = {
     "history.csv",
