@@ -155,7 +155,7 @@ def test_other_finenesses_from_t10(case: dict[str, float]) -> None:
         assert float(laws.t_n(case["n"], case["t10"], curve, alpha)) == pytest.approx(
             case[key], rel=1e-11
         )
-    assert float(laws.t_n(0.5, case["t10"])) == 1.0
+    assert float(laws.t_n(0.5, case["t10"], "trr", 0.6)) == 1.0
 
 
 # --- tests to a posterior -------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from uqsphere.arrays import Array, Names
+from uqsphere.arrays import Array, Names, quiet
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
 from uqsphere.mechanics import closed_form
@@ -113,6 +113,7 @@ def solve_scene(
     return merged_answers((rest, integrated(scene.at(rest))), (places, closed(scene.at(places))))
 
 
+@quiet  # a row outside the domain has a status, and no number
 def evaluate_scene(
     study: Study, names: Names, rows: Array, columns: Names, *, threads: int | None = None
 ) -> EvaluatedRows:
@@ -125,14 +126,13 @@ def evaluate_scene(
     Raises UsageError where the scene or the request contradicts itself.
     """
     try:
-        with np.errstate(all="ignore"):  # a row outside the domain has a status, and no number
-            answers = solve_scene(
-                scene_at(study, names, rows),
-                study.model.fidelity,
-                threads=threads,
-                tolerance=study.model.tolerance,
-                quantities=tuple(columns),
-            )
+        answers = solve_scene(
+            scene_at(study, names, rows),
+            study.model.fidelity,
+            threads=threads,
+            tolerance=study.model.tolerance,
+            quantities=tuple(columns),
+        )
     except ValueError as error:
         raise UsageError(str(error)) from error
     good = answered(answers.status)

@@ -131,10 +131,6 @@ def serve(parent: int) -> None:
     with contextlib.suppress(OSError):
         os.dup2(2, 1)
 
-    def send(message: object) -> None:
-        pickle.dump(message, replies)
-        replies.flush()
-
     def end_with_parent() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
@@ -143,7 +139,7 @@ def serve(parent: int) -> None:
     if hasattr(os, "killpg"):
         threading.Thread(target=end_with_parent, daemon=True).start()
     try:
-        send("started")
+        _send("started", replies)
         packed = pickle.load(requests)
         with contextlib.suppress(UqsphereError):  # the first call reports it again
             unpack(packed)
@@ -151,18 +147,21 @@ def serve(parent: int) -> None:
         threadpool_limits(limits=1, user_api="blas")
         reply: object = "ready"
         while True:
-            send(reply)
+            _send(reply, replies)
             rows = pickle.load(requests)
             try:
                 reply = answer(packed, rows)
             except UqsphereError as error:
                 reply = error
-            except Exception as error:
-                reply = ModelError(f"the model could not be called ({describe_error(error)})")
     except EOFError:
         return
     except BrokenPipeError:
         os._exit(0)  # the parent is gone: nothing is left to flush
+
+
+def _send(message: object, stream: Any) -> None:
+    pickle.dump(message, stream)
+    stream.flush()
 
 
 class _Process:
@@ -186,16 +185,16 @@ class _Process:
         """Answers to rows, within a limit [s]; raises as `result`."""
         timer = threading.Timer(limit or 0.0, self._expire)
         timer.daemon = True
-        replies = self._process.stdout
+        requests, replies = self._process.stdin, self._process.stdout
         try:
             if not self._started:
                 pickle.load(replies)
                 self._started = True
-                self._send(self.packed)
+                _send(self.packed, requests)
                 pickle.load(replies)  # the model is loaded, which its limit does not count
             if limit:
                 timer.start()
-            self._send(rows)
+            _send(rows, requests)
             reply: Timed = pickle.load(replies)
         except Exception as error:  # the end of a stream, or garbage in it
             self.close()
@@ -216,10 +215,6 @@ class _Process:
         if isinstance(reply, BaseException):
             raise reply
         return reply
-
-    def _send(self, message: object) -> None:
-        pickle.dump(message, self._process.stdin)
-        self._process.stdin.flush()
 
     def _expire(self) -> None:
         self._late = True

@@ -61,7 +61,7 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
     top = asked.top
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
-    edges = top * asked.ratio ** -np.arange(1.0 + asked.classes)
+    edges = top * asked.ratio ** -np.arange(asked.classes + 1, dtype=float)
     share = np.clip(passing(edges), 0.0, None)
     cut = 1.0 - share[0]
     if asked.law != "table" and cut > 1e-6:
@@ -302,18 +302,17 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
     rest = 1.0 - cumulative
     breaks = np.diff(cumulative, axis=2)
     blows = breaks.shape[2]
-    fresh = [np.broadcast_to(mass, cumulative.shape[:2])]
-    struck = np.zeros(cumulative.shape[:2])
-    broken = np.zeros(cumulative.shape[:2])
+    fresh = [mass]
+    struck = broken = np.zeros_like(mass)
 
     def mass_of(share: Array, blow: int) -> Array:
         """Mass of a share of what became fresh before each blow up to this one."""
         return np.asarray(sum(f * share[:, :, blow - k] for k, f in enumerate(fresh)))
 
     for blow in range(blows):
-        struck += mass_of(rest, blow)
+        struck = struck + mass_of(rest, blow)
         now = mass_of(breaks, blow)
-        broken += now
+        broken = broken + now
         if spread is not None:
             fresh.append((spread @ now[:, :, None])[:, :, 0])
     return struck, broken, mass_of(rest, blows)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, special
+from uqsphere.arrays import Array, Places, Values, quiet, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import csv_text
 from uqsphere.uq import ENDS
@@ -161,14 +161,14 @@ class Fit(NamedTuple):
 # --- likelihood -----------------------------------------------------------------------------------
 
 
+@quiet
 def log_likelihoods(model: EnergyModel, tests: Specimens) -> Callable[[Array], Array]:
     """A function of logarithms of parameters (..., d): log likelihoods (..., s) of specimens."""
     names = [*model.priors]
     fitted = "gamma" in names
     nodes = np.exp(_GAMMAS) if fitted else np.array([model.gamma or 4.0])
     every = tests.bounds(nodes)
-    with np.errstate(divide="ignore"):
-        logs = np.log(every)
+    logs = np.log(every)
 
     def bounds(x: Array) -> Values:
         """Both ends (2, ..., s) of the first fracture energies, interpolated in ln gamma; 0 and inf
@@ -181,24 +181,20 @@ def log_likelihoods(model: EnergyModel, tests: Specimens) -> Callable[[Array], A
         node = place.astype(int)
         part = (place - node)[..., None]
         ends = logs[:, node]
-        with np.errstate(invalid="ignore"):
-            inner = ends + part * (logs[:, node + 1] - ends)
+        inner = ends + part * (logs[:, node + 1] - ends)
         return np.exp(np.where(np.isfinite(ends), inner, ends))
 
+    @quiet
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
         median = model.median(p, tests.diameter)
         shape = p[laws.LAWS[model.law]]
         ends = bounds(x)
         likelihood = np.empty(median.shape)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for rows, function in (
-                (tests.exact, laws.log_density),
-                (~tests.exact, laws.log_between),
-            ):
-                likelihood[..., rows] = function(
-                    model.law, ends[..., rows], median[..., rows], shape, model.ratio
-                )
+        for rows, function in ((tests.exact, laws.log_density), (~tests.exact, laws.log_between)):
+            likelihood[..., rows] = function(
+                model.law, ends[..., rows], median[..., rows], shape, model.ratio
+            )
         return tests.weight * likelihood
 
     return value
@@ -243,10 +239,10 @@ def sample(
     each = log_likelihoods(model, tests)
     centre, sd = np.array([*model.priors.values()]).T
 
+    @quiet
     def value(x: Array) -> Array:
-        with np.errstate(invalid="ignore"):
-            prior = -0.5 * np.square((x - centre) / sd).sum(axis=-1)
-            total = each(x).sum(axis=-1) + prior
+        prior = -0.5 * np.square((x - centre) / sd).sum(axis=-1)
+        total = each(x).sum(axis=-1) + prior
         return np.where((np.abs(x) < 60.0).all(axis=-1) & ~np.isnan(total), total, -np.inf)
 
     def loss(x: Array) -> float:

@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, Values, quiet, special
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
 
 #: parameters of a size law, the energy first, by its name
@@ -30,18 +30,18 @@ SIZES = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"), "pow
 LAWS = {"lognormal": "sigma", "weibull": "modulus"}
 
 
+@quiet
 def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Values:
     """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
     top = ratio * median
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.where(energy < top, 1.0 - energy / top, 0.0)
-        return (np.log(energy / median) - np.log(left)) / sigma
+    left = np.where(energy < top, 1.0 - energy / top, 0.0)
+    return (np.log(energy / median) - np.log(left)) / sigma
 
 
+@quiet
 def hazard(energy: Values, median: Values, modulus: Values) -> Values:
     """-ln(1 - P) of (L2)."""
-    with np.errstate(over="ignore", divide="ignore"):
-        return math.log(2.0) * (energy / median) ** (0.6 * modulus)
+    return math.log(2.0) * (energy / median) ** (0.6 * modulus)
 
 
 def broken_share(law: str, energy: Values, median: Values, shape: Values, ratio: Values) -> Values:
@@ -90,18 +90,19 @@ def log_between(law: str, ends: Array, median: Array, shape: Array, ratio: float
     return np.where(np.isneginf(larger), -np.inf, larger + rest)
 
 
+@quiet
 def median_energy(
     size: str, diameter: Values, energy: Values, phi: Values, d0: Values = math.nan
 ) -> Values:
     """E50 [J/kg] at a diameter [m], (L3); `energy` is E_inf [J/kg], or C [J/kg m^phi]."""
-    with np.errstate(over="ignore"):
-        if size == "tavares":
-            return energy * (1.0 + (d0 / diameter) ** phi)
-        if size == "king":
-            return energy * (1.0 + d0 / diameter) ** phi
-        return energy * diameter**-phi
+    if size == "tavares":
+        return energy * (1.0 + (d0 / diameter) ** phi)
+    if size == "king":
+        return energy * (1.0 + d0 / diameter) ** phi
+    return energy * diameter**-phi
 
 
+@quiet
 def before_blow(left: Values, gamma: Values) -> Array:
     """x = e/E >= 1 of a particle of which a blow E leaves x (1 - D) = `left`, (L4); 1 for nothing
     left.
@@ -114,18 +115,15 @@ def before_blow(left: Values, gamma: Values) -> Array:
     left, g = np.broadcast_arrays(left, gamma)
     low = np.full(left.shape, -150.0)
     high = np.full(left.shape, 700.0)
-    with np.errstate(over="ignore", divide="ignore"):
-        wanted = np.log(np.maximum(left, 1e-300))
-        for _ in range(70):
-            t = 0.5 * (low + high)
-            log_d = -np.logaddexp(0.0, -t)
-            log_share = (2.5 / g) * log_d + np.log(
-                (2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g)
-            )
-            more = -np.logaddexp(0.0, t) - log_share > wanted
-            low = np.where(more, t, low)
-            high = np.where(more, high, t)
-        return np.where(left > 0.0, np.exp(-log_share), 1.0)
+    wanted = np.log(np.maximum(left, 1e-300))
+    for _ in range(70):
+        t = 0.5 * (low + high)
+        log_d = -np.logaddexp(0.0, -t)
+        log_share = (2.5 / g) * log_d + np.log((2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g))
+        more = -np.logaddexp(0.0, t) - log_share > wanted
+        low = np.where(more, t, low)
+        high = np.where(more, high, t)
+    return np.where(left > 0.0, np.exp(-log_share), 1.0)
 
 
 def survivor_bound(energies: Values, gamma: Values) -> Array:
@@ -187,21 +185,21 @@ def t10(energy: Values, A: Values, b: Values) -> Values:
     return A * -np.expm1(-b * energy)
 
 
-def t_n(n: Values, fineness: Values, curve: str = "trr", alpha: Values = 0.6) -> Array:
+@quiet
+def t_n(n: Values, fineness: Values, curve: str, alpha: Values) -> Array:
     """Share finer than d/n of t10; 1 for n <= 1.  `milin`: t_n = I_t10(a(n), b(n)).
 
-    >>> t_n([2.0, 10.0], 0.3, alpha=0.8).round(6).tolist()
+    >>> t_n([2.0, 10.0], 0.3, "trr", 0.8).round(6).tolist()
     [0.873631, 0.3]
     """
     n, fine, alpha = np.broadcast_arrays(n, np.clip(fineness, 0.0, 1.0), alpha)
     x = np.where(n > 1.0, n, 2.0)
-    with np.errstate(divide="ignore", over="ignore"):
-        if curve == "trr":
-            finer = -np.expm1((9.0 / (x - 1.0)) ** alpha * np.log1p(-fine))
-        else:
-            a = -0.7846 * np.exp(-0.4988 * x)
-            a += 0.9190 * x**0.04526 / (0.000972 * x**2 + 1.0) ** 0.03797
-            b = 1.193 / (x - 1.0) ** 1.392
-            b += 2.722 * x**-0.3404 / (0.01175 * x**2 + 1.0) ** 0.3381
-            finer = special.betainc(a, np.minimum(b, 1e6), fine)
+    if curve == "trr":
+        finer = -np.expm1((9.0 / (x - 1.0)) ** alpha * np.log1p(-fine))
+    else:
+        a = -0.7846 * np.exp(-0.4988 * x)
+        a += 0.9190 * x**0.04526 / (0.000972 * x**2 + 1.0) ** 0.03797
+        b = 1.193 / (x - 1.0) ** 1.392
+        b += 2.722 * x**-0.3404 / (0.01175 * x**2 + 1.0) ** 0.3381
+        finer = special.betainc(a, np.minimum(b, 1e6), fine)
     return np.where(n > 1.0, finer, 1.0)
