@@ -81,3 +81,12 @@ def test_no_slip_of_letters_changes_the_power_of_ten() -> None:
             for text in (unit.lower(), unit.upper(), unit.swapcase(), unit.capitalize()):
                 near = nearest_unit(text, dimension)
                 assert near in ("", unit, text) or units[near] == units[unit], (text, near)
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("1.234,5", "1234.5"), ("1,234.5", "1234.5"), ("-1.234.567,8901", "-1234567.8901")],
+)
+def test_a_number_with_marks_of_thousands_is_offered_without(text: str, meant: str) -> None:
+    with pytest.raises(UnitError, match=f'thousands separator. Write "{meant} mm"'):
+        parse_value(f"{text} mm", "length")

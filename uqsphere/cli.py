@@ -154,7 +154,7 @@ def _parser() -> ArgumentParser:
     parser.add_argument(
         "--version", action="store_true", help="versions of uqsphere and its dependencies"
     )
-    commands = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
+    commands = parser.add_subparsers(metavar="COMMAND")
 
     def add(command: Callable[[Namespace], int | None]) -> ArgumentParser:
         """The parser of a command, whose docstring has its help and its examples."""
@@ -290,13 +290,15 @@ def _reader(options: Namespace) -> Callable[[Sequence[str]], Any]:
     """A function that gives the study of a file or of standard input, with more PATH=VALUE set."""
     from uqsphere.study import load_study
 
-    if str(options.file) != "-":
-        return lambda more: load_study(options.file, [*options.overrides, *more])
-    try:
-        text = sys.stdin.read()
-    except UnicodeDecodeError:
-        raise UsageError("stdin: the study must be UTF-8 text") from None
-    return lambda more: load_study("stdin", [*options.overrides, *more], text=text)
+    path = options.file
+    text = None
+    if str(path) == "-":
+        path = "stdin"
+        try:
+            text = sys.stdin.read()
+        except UnicodeDecodeError:
+            raise UsageError("stdin: the study must be UTF-8 text") from None
+    return lambda more: load_study(path, [*options.overrides, *more], text=text)
 
 
 def _warn(warnings: Iterable[str]) -> None:
@@ -587,8 +589,8 @@ def _compare(options: Namespace) -> None:
     from uqsphere.report.compare import compare, comparison_text
     from uqsphere.results import open_run
 
-    runs = [open_run(folder) for folder in options.folders]
-    names = [str(folder) for folder in options.folders]
+    runs = [*map(open_run, options.folders)]
+    names = [*map(str, options.folders)]
     print(comparison_text(runs, names))
     if options.csv:
         compare(runs, names).to_csv(options.csv, index=False)

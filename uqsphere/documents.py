@@ -218,10 +218,7 @@ def lines_of(text: str) -> dict[str, int]:
 
 def _parts(text: str) -> tuple[str, ...]:
     """The parts of a dotted key."""
-    return tuple(
-        part[1] or part[2] or part[3]
-        for part in re.finditer(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text)
-    )
+    return tuple(map("".join, re.findall(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text)))
 
 
 def located(text: str, faults: Iterable[Fault], overridden: Iterable[str]) -> list[Problem]:

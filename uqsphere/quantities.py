@@ -29,11 +29,7 @@ def lookup(name: str) -> Quantity:
 def plain_quantity(name: str) -> Quantity:
     """The entry of a number without unit, for example a black-box input."""
     return Quantity(
-        name=name,
-        symbol=name,
-        lower=-math.inf,
-        meaning=name,
-        plausible=(-math.inf, math.inf),
+        name=name, symbol=name, meaning=name, lower=-math.inf, plausible=(-math.inf, math.inf)
     )
 
 

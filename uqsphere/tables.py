@@ -132,7 +132,7 @@ def _known_unit(text: str, dimension: str) -> str | None:
 
 def _is_open(text: str) -> bool:
     """Whether a bracket in a text is not closed."""
-    return text.count("[") > text.count("]") or text.count("(") > text.count(")")
+    return any(text.count(opens) > text.count(closes) for opens, closes in ("[]", "()"))
 
 
 def _unknown_unit(heading: str, dimension: str) -> str:
@@ -275,10 +275,6 @@ class Table:
         raise TableError(
             f"the column {column!r} is {often} in {self.name!r}, which has {listed}{hint}", key
         )
-
-    def unit_of(self, column: str, dimension: str) -> str | None:
-        """The unit of a dimension in the heading of a column."""
-        return unit_in_heading(self.headings[self.place(column, dimension)], dimension)[1]
 
     def texts(self, column: str, key: str = "") -> list[str]:
         """Cells of a column."""
@@ -541,7 +537,10 @@ def _other_sheets(notes: Iterable[str]) -> str:
 
 def _trimmed(row: list[str]) -> list[str]:
     """A row without the empty cells at its end."""
-    return row[: max((length for length, cell in enumerate(row, 1) if cell), default=0)]
+    row = [*row]
+    while row and not row[-1]:
+        row.pop()
+    return row
 
 
 def _place_of_headings(rows: Sequence[list[str]]) -> int:

@@ -37,7 +37,8 @@ _NUMBER = re.compile(
 _ROTOR = re.compile(r"(.+?)\s*rpm\s*(?:at|@|x)\s*(.+)")
 #: what stands between two numbers: 40-60 GPa, 52 ± 3 GPa, 40 to 60 GPa
 _RANGE = re.compile(r"[^\W\d]*\s*(?:[-–—…]|±|\+/?-|\.\.+|to\b)\s*\d")
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:,\d{3})+\.\d*")
+#: 1.234,5 and 1,234.5, with the mark of thousands as a group
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d*")
 
 
 @frozen
@@ -142,9 +143,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
         diameter = parse_value(rotor[2], "length", "m")
         return math.pi * diameter * turns / 60.0
     if mark := _THOUSANDS.match(stripped):
-        number = mark[0].replace(",", "")
-        if "," in mark[0][-4:]:
-            number = mark[0].replace(".", "").replace(",", ".")
+        number = mark[0].replace(mark[1], "").replace(",", ".")
         raise UnitError(
             f'{text!r} has a thousands separator. Write "{number}{stripped[mark.end() :]}"'
         )
@@ -160,7 +159,7 @@ def parse_value(text: object, dimension: str, example: str = "") -> float:
             f'{text!r} is a range. Write a distribution, such as {{ dist = "uniform", lower = …, '
             "upper = … }"
         )
-    if unit.startswith(",") and unit[1:2].isdigit():
+    if re.match(r",\d", unit):
         raise UnitError(f'{text!r} has a decimal comma. Write "{stripped.replace(",", ".", 1)}"')
     if unit not in table:
         if dimension == "number":

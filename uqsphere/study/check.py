@@ -265,9 +265,11 @@ def _words(draft: Draft) -> Faults:
                     f'the preset "{pulse.preset}" is a {shape} pulse. Remove shape or preset',
                     "pulse.shape",
                 )
-        options["bars.infinite"] = document.bars.infinite
-        options["bars.rigid_contact"] = document.bars.rigid_contact
-        options["pulse.shape"] = shape
+        options |= {
+            "bars.infinite": document.bars.infinite,
+            "bars.rigid_contact": document.bars.rigid_contact,
+            "pulse.shape": shape,
+        }
     else:
         options["rig.kind"] = draft.rig.name
         if draft.rig.sphere_moves:

@@ -428,7 +428,7 @@ def _warn_of_slips(
             "MPa"
         )
         likely = [u for u in _FORCES if is_usual(force * UNITS["force"][u] / of_force, diameter)]
-    hint = f"is the unit {one_of(likely)}?" if likely else "is the unit right?"
+    hint = f"is the unit {one_of(likely or ['right'])}?"
     if is_usual(diameter * (of_force / of_length), force * (of_length / of_force)):
         hint = "are the columns of force and diameter swapped?"
     draft.warn(f"{table.file}: {text}: {hint}", key, holds="unit")

@@ -363,7 +363,7 @@ def opened(table: Any, draft: "Draft", key: str = "file") -> Iterator[Table]:
         )
     try:
         path = (home / relative).resolve()
-        if relative.drive or relative.root or ".." in relative.parts:
+        if relative.anchor or ".." in relative.parts:
             raise Fault(
                 f"{key} must be a relative path inside the study's folder, not {shown(name)}", key
             )
@@ -618,7 +618,8 @@ def pulse_of(table: "PulseTable", draft: "Draft") -> MeasuredPulse:
                 "columns",
             )
         time_unit, unit = table.units or (None, None)
-        volts = (unit or cells.unit_of(columns[1], "voltage")) in UNITS["voltage"]
+        heading = cells.headings[cells.place(columns[1], "voltage")]
+        volts = (unit or unit_in_heading(heading, "voltage")[1]) in UNITS["voltage"]
         time = cells.numbers(columns[0], "time", time_unit)
         dimension = "voltage" if volts else "strain"
         strain = (table.factor or 1.0) * cells.numbers(columns[1], dimension, unit)
