@@ -166,7 +166,10 @@ def tables_of(
             in_time = max(in_time, LEAST_ROWS)
         affordable = int(min(affordable, in_time))
     along = points is None and design.study.moving is not None
-    if points is None:
+    without_line = "the run ended before its rows"
+    if points is not None:
+        without_line = "rows that are given do not vary the free number"
+    else:
         count = affordable
         if along:
             count = int(affordable * (1.0 - LINE_BUDGET))
@@ -178,11 +181,11 @@ def tables_of(
         points = _design(design, min(count, MOST_ROWS))
     rows, stopped = _evaluated(design, model, points, end, progress)
     slow = _predicted(design, rows)
-    tables: Tables = slow
+    compared = None
     margins = design.study.margins
     if margins is not None and margins.limit is not None and slow.predicted is not None:
-        by_rows = Compared(sample=_compared(slow.rows, [*slow.responses.values()]))
-        tables = replace(tables, compared=by_rows)
+        compared = Compared(sample=_compared(slow.rows, [*slow.responses.values()]))
+    tables: Tables = replace(slow, compared=compared, without_line=without_line)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
