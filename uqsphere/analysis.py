@@ -532,7 +532,7 @@ def fragility(
 def _fragility(grid: Array, shares: Array, samples: int, targets: Sequence[float]) -> Fragility:
     fitted = curve.fragility(grid, shares, targets, samples=samples)
     return Fragility(
-        curve=np.array(fitted.curve), values=fitted.values, shares=shares, samples=samples
+        curve=np.array(fitted.curve)[:, :4], values=fitted.values, shares=shares, samples=samples
     )
 
 

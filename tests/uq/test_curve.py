@@ -36,12 +36,14 @@ def test_values_of_a_known_curve() -> None:
 
 def test_given_ends_are_those_of_the_curve_and_of_its_values() -> None:
     exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
-    ends = lognormal(GRID / 1.1), lognormal(GRID * 1.05)
+    ends = np.array([lognormal(GRID / c) for c in (1.1, 1.0 / 1.05, 1.3, 1.0 / 1.2)])
     found = fragility(GRID, exact, (0.5,), samples=1000, ends=ends)
     assert np.array(found.curve)[:, 2:] == pytest.approx(np.transpose(ends))
     median = found.values[0.5]
     assert median.low == pytest.approx(MEDIAN / 1.05, rel=1e-3)
     assert median.high == pytest.approx(MEDIAN * 1.1, rel=1e-3)
+    assert median.low_unseen == pytest.approx(MEDIAN / 1.2, rel=1e-3)
+    assert median.high_unseen == pytest.approx(MEDIAN * 1.3, rel=1e-3)
 
 
 def test_falling_curves_answer_the_same_questions() -> None:

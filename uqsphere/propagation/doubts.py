@@ -369,7 +369,7 @@ class Curves:
         away = []
         for other in adding:
             means = self.base(other)[0]
-            ends = self.line.ends_by_rows(other, means)[self.aim.survive]
+            ends = self.line.ends_by_rows(other, means)[int(self.aim.survive)]
             away.append(ends - means.mean(axis=1))
         alone, joint = base.mean(axis=2)
         return [alone + away[0], np.clip(joint + np.sum(away, axis=0), 0.0, 1.0)]

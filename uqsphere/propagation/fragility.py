@@ -19,7 +19,7 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-from uqsphere.uq.estimate import REPLICATES, absent, carriers, count_bound
+from uqsphere.uq.estimate import REPLICATES, absent, carriers
 
 from .design import VALUES, Design
 from .free_number import demand_factor, grid
@@ -50,14 +50,15 @@ def fragility(tables: Tables) -> Rows:
     for limit in design.judged.limits:
         subject = design.subject(limit)
         fitted = curve_of(tables, limit)
-        for value, p, low, high in fitted.curve:
-            outer = {}
-            if tables.compared is not None:
-                missed = count_bound(tables.compared.sample.count)
-                outer["low_unseen"] = max(low - missed, 0.0)
-                outer["high_unseen"] = min(high + missed, 1.0)
+        for *row, low_unseen, high_unseen in fitted.curve:
             yield number_row(
-                subject, "curve", value, p, low, high, method=METHOD, runs=runs, **outer
+                subject,
+                "curve",
+                *row,
+                low_unseen=low_unseen,
+                high_unseen=high_unseen,
+                method=METHOD,
+                runs=runs,
             )
         for p, estimate in fitted.values.items():
             yield estimate_row(subject, "margin", estimate, p, unit=unit, runs=runs)

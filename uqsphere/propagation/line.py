@@ -20,7 +20,7 @@ from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
 from uqsphere.uq import LimitState, Sample
 from uqsphere.uq.corrected import corrected_probability
-from uqsphere.uq.estimate import fold_spread
+from uqsphere.uq.estimate import count_bound, fold_spread
 
 from .design import Design
 from .free_number import demand_factor, grid, moved, shares_of
@@ -103,12 +103,12 @@ class Line:
         factors = [demand_factor(margins, limit, value) for value in self.values]
         return replace(state, demands=state.demands * np.repeat(factors, self._counts))
 
-    def ends_by_rows(self, limit: Limit, means: Array) -> tuple[Array, Array]:
-        """Both ends (K,) of the interval of the mean exceedance (K, R) of a limit by a slow
-        model.
+    def ends_by_rows(self, limit: Limit, means: Array) -> Array:
+        """Ends (2, K) of the mean exceedance (K, R) of a limit by a slow model, with what no row
+        shows.
         """
         assert self.compared is not None
-        return ends_by_rows(self.design, self.compared, limit, self.values, means)
+        return ends_by_rows(self.design, self.compared, limit, self.values, means)[2:]
 
     def by_value(self, rows: Array) -> list[Array]:
         """Rows (R, N) apart, a part for each value."""
@@ -138,11 +138,13 @@ class Line:
 
 def ends_by_rows(
     design: Design, compared: Compared, limit: Limit, values: Sequence[float], means: Array
-) -> tuple[Array, Array]:
-    """Ends (K,) of the intervals of the mean exceedance (K, R) of a limit that is predicted at
-    values of the free number, by the rows of the model that are nearest to each: the square root of
-    their number, which lets an average follow the curve while its noise falls; and by what the
-    expansions disagree by.
+) -> Array:
+    """Ends (4, K) of the mean exceedance (K, R) of a limit that is predicted at values of the free
+    number: of the intervals, and of those with what no row shows.
+
+    They are by the rows of the model that are nearest to each value, the square root of their
+    number, which lets an average follow the curve while its noise falls; and by what the expansions
+    disagree by.
     """
     margins = design.study.margins
     assert margins is not None
@@ -158,16 +160,17 @@ def ends_by_rows(
         answered, *predicted = exceeded[:, near]
         influence.append(answered - np.mean(predicted, axis=0))
         expected.append(np.var(predicted, axis=0).mean())
-    _, *ends = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
+    _, *inner = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
     middle = means.mean(axis=1)
-    away = np.maximum(np.subtract(ends, middle) * np.array([[-1.0], [1.0]]), 0.0)
+    away = np.maximum(np.subtract(inner, middle) * np.array([[-1.0], [1.0]]), 0.0)
     if compared.folds:
         by_folds = [
             state_of(design, limit, fold).tails()[0].mean(axis=1) for fold in compared.folds
         ]
         away = np.hypot(away, fold_spread(np.transpose(by_folds)))
-    low, high = np.clip([middle - away[0], middle + away[1]], 0.0, 1.0)
-    return low, high
+    unseen = count_bound(compared.sample.count)
+    ends = np.array([middle - away[0], middle + away[1]])
+    return np.clip([*ends, ends[0] - unseen, ends[1] + unseen], 0.0, 1.0)
 
 
 def exceedance(state: LimitState, survive: bool) -> Array:

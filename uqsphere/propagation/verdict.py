@@ -481,6 +481,8 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     if line is not None and governing.code != "assumed strength" and line.use is None:
         if line.number is None and len(judged.aim.limits) > 1:
             at_best = line.once_gone(governing)
+        if line.best_estimate is not None and governing.code == "computation":
+            return Remedy(code="tighten the accuracy", subject=subject, at_best=at_best)
         return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":
         return Remedy(code="nothing")

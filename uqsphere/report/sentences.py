@@ -382,7 +382,9 @@ _REMEDIES = {
     "change the plan": (
         "Change the planned value or the target; further measurements cannot change this verdict"
     ),
-    "tighten the accuracy": "Run again with a smaller analysis.accuracy.probability",
+    "tighten the accuracy": (
+        "Run again with a smaller analysis.accuracy.probability or a larger analysis.budget"
+    ),
     "widen the range": "Widen margins.between, or reduce the demand",
     "measure the strength": "Measure the {strength} ({subject}) of this rock",
     "test more": "Test more spheres for {subject}",

@@ -157,13 +157,12 @@ class Corrected:
             corrected_probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell),
         )
         missed = count_bound(self.runs)
-        estimate = self._estimate(value, low, high)
+        outer = {"low": max(low - missed, 0.0), "high": min(high + missed, 1.0)}
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
-            estimate = replace(absent(reason, self.method, self.runs), low=low, high=high)
-        return replace(
-            estimate, low_unseen=max(low - missed, 0.0), high_unseen=min(high + missed, 1.0)
-        )
+            return replace(absent(reason, self.method, self.runs), **outer)
+        estimate = self._estimate(value, low, high)
+        return replace(estimate, low_unseen=outer["low"], high_unseen=outer["high"])
 
     @cached_property
     def _few_values(self) -> bool:

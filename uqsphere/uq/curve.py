@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +18,8 @@ FEWEST = 5.0
 
 @frozen
 class Fragility:
-    """Curve [[value, probability, low, high], ...] along the grid, and the values by
-    probability.
+    """Curve [[value, probability, low, high, low_unseen, high_unseen], ...] along the grid, and the
+    values by probability.
     """
 
     curve: list[list[float]]
@@ -32,7 +33,7 @@ def fragility(
     *,
     samples: int | Sequence[int],
     carrying: Sequence[float] = (),
-    ends: tuple[Array, Array] | None = None,
+    ends: Array | None = None,
 ) -> Fragility:
     """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
     grid.
@@ -42,8 +43,9 @@ def fragility(
     or fall with the value.  A value is absent where the probability does not pass through it
     between the ends of the grid, and where the curve turns back by more than its noise and may pass
     through it more than once.  `carrying` (K,): how many samples carry a probability, or its
-    complement if fewer do; all where it is not given.  `ends` (K,) each are those of the
-    probabilities' intervals, where the replicates do not show them.
+    complement if fewer do; all where it is not given.  `ends` (4, K) are those of the
+    probabilities' intervals, and of those that allow for what the samples miss, where the
+    replicates do not show them.
     """
     replicates = probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
@@ -59,7 +61,7 @@ def fragility(
         error = spread(row) or spread(row, 1.0 / count)
         worth = 1.0 + freedom(replicates, by)
         low, high, _ = probability_ends(p, q, error, worth, count * replicates)
-        curve.append([level, p, min(low, p), max(high, p)])
+        curve.append([level, p, *[min(low, p), max(high, p)] * 2])
     if ends is not None:
         curve = np.column_stack([grid, probabilities.mean(axis=1), *ends]).tolist()
     # where a curve that has surely risen surely falls, or has fallen and rises
@@ -123,7 +125,7 @@ def _value(
     target: float,
     behind: Places,
     carrying: Sequence[float],
-    ends: tuple[Array, Array] | None,
+    ends: Array | None,
 ) -> Estimate:
     """Value at the target: the ends are where the curve takes those of the probability there, which
     has the spread of the replicates (Woodruff 1952), or where given ends take the target, and the
@@ -164,7 +166,7 @@ def _value(
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
     sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
     if ends is not None:
-        sides = [centre, *(_crossings(places, end[:, None], target, least)[0] for end in ends)]
+        sides = [centre, *(_crossings(places, end[:, None], target, least)[0] for end in ends[:2])]
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * samples
     sides += [places[n] for n in (k - 1, k) if counted and shown[n, 0] < FEWEST]
@@ -185,4 +187,16 @@ def _value(
             evaluations,
         )
     value, first, last = map(backward, (centre, centre - below, centre + above))
-    return between(value, first, last, replicates, METHOD, evaluations)
+    estimate = between(value, first, last, replicates, METHOD, evaluations)
+    if ends is None:
+        return estimate
+    outer = [_crossings(places, end[:, None], target, least)[0] for end in ends[2:]]
+    if pooled[-1] >= pooled[0]:
+        outer.reverse()
+    # open where the curve does not take it
+    low, high = np.nan_to_num(outer[0], nan=-math.inf), np.nan_to_num(outer[1], nan=math.inf)
+    return replace(
+        estimate,
+        low_unseen=float(backward(low - between_points)),
+        high_unseen=float(backward(high + between_points)),
+    )
