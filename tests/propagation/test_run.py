@@ -401,7 +401,7 @@ def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
     assert sobol["first"]["a"] == pytest.approx(var / (var + 16.0), abs=1e-3)
     assert any("3/" in check.text for check in run.results.checks)
     p = run.probability("high")
-    assert p["high"] < 0.01
+    assert p["high"] < 0.06  # 3/N is in it
     assert p["high_unseen"] >= 3.0 / 60
     # its rows are those of the model, and every answer rests on them
     rows = run.samples
@@ -438,7 +438,9 @@ def test_a_slow_model_that_fails_along_the_free_number_has_no_margin() -> None:
         study(analysis=few, margins=margins, inputs={"a": 5.0, "b": NORMAL}),
         lambda x: {"y": np.where(x["a"] > 5.5, np.nan, x["b"])},
     )
-    assert not [row for row in run.results.answers if row.answer == "margin"]
+    (margin,) = [row for row in run.results.answers if row.answer == "margin"]
+    assert margin.value is None
+    assert "failed" in margin.note
     assert "no margins" in next(c.text for c in run.results.checks if c.name == "no_margin")
 
 

@@ -41,7 +41,9 @@ def fragility(tables: Tables) -> Rows:
         unknown = absent(tables.without_line, METHOD, tables.runs)
         for limit in design.judged.limits:
             subject = design.subject(limit)
-            yield estimate_row(subject, "margin", unknown, limit.allowable, unit=unit)
+            yield estimate_row(
+                subject, "margin", unknown, limit.allowable, unit=unit, runs=tables.runs
+            )
         return
     # those of the sample where the line moves no row
     along = sum(sample.size for sample in tables.line.values())

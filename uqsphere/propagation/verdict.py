@@ -479,9 +479,10 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     if judged.contradicted:
         return Remedy(code="change the plan", subject=subject)
     if line is not None and governing.code != "assumed strength" and line.use is None:
-        if line.number is None and len(judged.aim.limits) > 1:
+        unknown = line.number is None
+        if unknown and len(judged.aim.limits) > 1:
             at_best = line.once_gone(governing)
-        if line.best_estimate is not None and governing.code == "computation":
+        if unknown and line.best_estimate is not None and governing.code == "computation":
             return Remedy(code="tighten the accuracy", subject=subject, at_best=at_best)
         return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":

@@ -157,12 +157,12 @@ class Corrected:
             corrected_probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell),
         )
         missed = count_bound(self.runs)
-        outer = {"low": max(low - missed, 0.0), "high": min(high + missed, 1.0)}
+        outer = max(low - missed, 0.0), min(high + missed, 1.0)
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
-            return replace(absent(reason, self.method, self.runs), **outer)
+            return replace(absent(reason, self.method, self.runs), low=outer[0], high=outer[1])
         estimate = self._estimate(value, low, high)
-        return replace(estimate, low_unseen=outer["low"], high_unseen=outer["high"])
+        return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
 
     @cached_property
     def _few_values(self) -> bool:
