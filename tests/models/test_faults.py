@@ -232,7 +232,7 @@ def test_what_a_model_has_started_ends_with_it(place: Path) -> None:
         study("time_limit = '0.2 s'"), box(place, f"os.system('sleep {mark}')"), threads=1
     ) as model:
         assert model.evaluate(["a"], ROWS[2:3], ["y"]).status.tolist() == [FAILED]
-    assert not _running(f"sleep\0{mark}")
+    _until(lambda: not _running(f"sleep\0{mark}"))
     reference = box(place, f"os.system('sleep {mark}')", where="True")
     program = f"""
 from pathlib import Path

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.tables import read_table
 
@@ -51,7 +51,7 @@ class Classes(NamedTuple):
     @property
     def sizes(self) -> Array:
         """Representative diameters (K,) [m]: geometric means."""
-        return np.asarray(np.sqrt(self.edges * self.lower))
+        return np.sqrt(self.edges * self.lower)
 
 
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
@@ -305,9 +305,9 @@ def population(cumulative: Array, mass: Array, spread: Array | None) -> tuple[Ar
     fresh = [mass]
     struck = broken = np.zeros_like(mass)
 
-    def mass_of(share: Array, blow: int) -> Array:
+    def mass_of(share: Array, blow: int) -> Values:
         """Mass of a share of what became fresh before each blow up to this one."""
-        return np.asarray(sum(f * share[:, :, blow - k] for k, f in enumerate(fresh)))
+        return sum(f * share[:, :, blow - k] for k, f in enumerate(fresh))
 
     for blow in range(blows):
         struck = struck + mass_of(rest, blow)
