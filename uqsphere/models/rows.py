@@ -42,7 +42,7 @@ class EvaluatedRows:
     @property
     def good(self) -> Flags:
         """Which rows have an answer, (n,)."""
-        return self.status == 0
+        return np.asarray(self.status == 0)
 
 
 def where_of(names: Names, row: Array) -> str:
