@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_gauges import BASE, C0, Z, history_with
 
+from uqsphere.mechanics import field
 from uqsphere.mechanics.contact import hertz_force
 from uqsphere.mechanics.field import field_at, field_grid, first_tension
 from uqsphere.mechanics.history import view_field
@@ -102,12 +103,13 @@ def test_tension_begins_where_the_tail_meets_the_reflection():
         ("incident", "trapezoid", {"pulse_rise": 30e-6, "pulse_fall": 50e-6}, 0.01, 0.005),
     ],
 )
-def test_the_first_tension_against_a_plain_search(bar, shape, numbers, share, near):
+def test_the_first_tension_against_a_plain_search(monkeypatch, bar, shape, numbers, share, near):
     """Nothing a little earlier anywhere, tension somewhere a little later, and at the place found
     at once.
     """
     history = history_with(shape, **numbers)
-    found, level = first_tension(history.motion, bar, share=share), share * 0.5 * 7850.0 * C0
+    monkeypatch.setattr(field, "tension_level", lambda motion: share)
+    found, level = first_tension(history.motion, bar), share * 0.5 * 7850.0 * C0
     d = np.linspace(0.0, {"incident": 1.5, "receiving": 1.2}[bar], 3001)
     for time, some in (((1.0 - near) * found.time, False), ((1.0 + near) * found.time, True)):
         assert (

@@ -14,14 +14,7 @@ from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.rigs import sphere_body
 from uqsphere.mechanics.scene import Scene
-from uqsphere.mechanics.validity import (
-    ADVICE,
-    RULES,
-    Measures,
-    ValidityCheck,
-    check_validity,
-    softest_partner,
-)
+from uqsphere.mechanics.validity import ADVICE, RULES, Measures, ValidityCheck, check_validity
 from uqsphere.mechanics.yielding import Face
 
 BASE = EXAMPLE | {
@@ -110,7 +103,7 @@ def test_what_yields_is_told_with_what_the_static_law_says():
     assert found["sphere_yield_contact"].worst == pytest.approx(2.0 / 1.5)
     scales = soft.scales
     for name, body in (
-        ("bar_yield_contact", softest_partner(soft)),
+        ("bar_yield_contact", soft.struck.body),
         ("sphere_yield_contact", sphere_body(soft.columns)),
     ):
         face = Face(

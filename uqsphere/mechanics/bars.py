@@ -81,17 +81,18 @@ def _speeds(nu: float) -> tuple[float, float]:
     return math.sqrt((1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))), math.sqrt(0.5 / (1.0 + nu))
 
 
-def _squares(wave_number: Array, speed: Array, nu: float) -> tuple[Array, Array, Array]:
-    """k², p² and q²."""
+def _terms(wave_number: Array, speed: Array, nu: float) -> tuple[Array, ...]:
+    """k², p² and q², and J_0 and j of p and of q."""
     dilatation, shear = _speeds(nu)
     k2 = np.square(wave_number)
-    return k2, k2 * (np.square(speed / dilatation) - 1.0), k2 * (np.square(speed / shear) - 1.0)
+    p2 = k2 * (np.square(speed / dilatation) - 1.0)
+    q2 = k2 * (np.square(speed / shear) - 1.0)
+    return k2, p2, q2, *_bessel(p2), *_bessel(q2)
 
 
 def _equation(wave_number: Array, speed: Array, nu: float) -> Values:
     """Left side of the frequency equation."""
-    k2, p2, q2 = _squares(wave_number, speed, nu)
-    (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
+    k2, p2, q2, zero_p, one_p, zero_q, one_q = _terms(wave_number, speed, nu)
     return (
         2.0 * p2 * (q2 + k2) * one_p * one_q
         - np.square(q2 - k2) * zero_p * one_q
@@ -129,8 +130,7 @@ def surface_factors(wave_number: Array, speed: Array, nu: float) -> tuple[Array,
     M_1: mean axial strain of the section over the surface strain.  M_2: mean axial stress over E
     times the mean strain.  (n,) each, at wave numbers times radius and phase speeds over c0.
     """
-    k2, p2, q2 = _squares(wave_number, speed, nu)
-    (zero_p, one_p), (zero_q, one_q) = _bessel(p2), _bessel(q2)
+    k2, p2, q2, zero_p, one_p, zero_q, one_q = _terms(wave_number, speed, nu)
     # u_z = k A J_0(p r) + D J_0(q r), the surface free of shear; every term has the same growth
     # exp(|p| + |q|)
     dilating = (k2 - q2) * one_q

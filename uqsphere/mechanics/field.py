@@ -197,16 +197,15 @@ def tension_level(motion: Motion) -> float:
     return float(np.clip(-1.5 * strain.min(), _TENSION_LEVEL, _LARGEST_TENSION_LEVEL))
 
 
-def first_tension(motion: Motion, bar: str, *, share: float | None = None) -> Tension | None:
-    """First tension of a bar: the stress exceeds `share` of the pulse's stress rho c0 v0/2.
+def first_tension(motion: Motion, bar: str) -> Tension | None:
+    """First tension of a bar: the stress exceeds the share `tension_level` of that of the pulse.
 
-    share: default `tension_level`.  Tension occurs where g_A(u) > f(w) (receiving bar: h(w) >
-    k_B(u)), u = t - d/c0 and w = t + d/c0.  The least u + w with 0 <= w - u <= 2 l/c0 is found on a
+    Tension occurs where g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), u = t - d/c0 and w = t +
+    d/c0.  The least u + w with 0 <= w - u <= 2 l/c0 is found on a
     grid and by zooming in.  None if there is no tension up to the horizon.
     """
     number = BARS.index(bar)
-    share = tension_level(motion) if share is None else share
-    level = share * motion.scales.speed
+    level = tension_level(motion) * motion.scales.speed
     trip = motion.round_trip(number) * (1.0 + _ROUNDING)
     nodes = _search_times(motion, number)
     away = leaving(motion, number, nodes)

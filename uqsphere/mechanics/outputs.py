@@ -58,9 +58,7 @@ FORMULAS = {
     "first_peak": lambda c: _hertz_pressure(c, c["force"] * c["x_first"] ** c["power"]),
     "force_imbalance": lambda c: c["difference"] / c["x_max"] ** c["power"],
     "specific_energy": lambda c: c["energy"] / c["mass"],
-    "energy_sphere": lambda c: (
-        c["modulus"] * (1.0 - np.square(c["sphere.nu"])) / c["sphere.E"] * c["energy"]
-    ),
+    "energy_sphere": lambda c: c["share"] * c["energy"],
     "specific_energy_sphere": lambda c: c["energy_sphere"] / c["mass"],
     "specific_impact_energy": lambda c: c["impact_energy"] / c["mass"],
     "transmitted_energy": lambda c: c["carried_off"],
@@ -92,8 +90,8 @@ class Columns(dict[str, Any]):
 
 
 def columns_of(scene: Scene, rows: Places | slice = slice(None)) -> dict[str, Any]:
-    """Numbers and scale factors of some rows of a scene."""
-    numbers = {**scene.columns, **scene.scales._asdict()}
+    """Numbers and scale factors of some rows of a scene, and the sphere's share of the energy."""
+    numbers = {**scene.columns, **scene.scales._asdict(), "share": scene.struck.share}
     return {name: column[rows] for name, column in numbers.items()}
 
 
@@ -188,9 +186,7 @@ def _of_faces(scene: Scene, tracked: ColumnMap) -> dict[str, Any]:
 
     def energy_of_sphere() -> Values:
         """chi of the energy in each contact, and plastic work where the sphere itself yields."""
-        stored = scene.struck.share * tracked["stored"]
-        if "stored_sphere" in tracked:
-            stored = tracked["stored_sphere"]
+        stored = tracked.get("stored_sphere", scene.struck.share * tracked["stored"])
         plastic = sum(side["takes"] * side["dissipated"] for side in sides)
         return force * scene.scales.approach * stored + plastic
 
@@ -415,8 +411,7 @@ def answers_from(
             for name in values
             if name in OUTPUTS and OUTPUTS[name].censored
         },
-        # closed forms have no grazing contacts
-        grazes=np.nan_to_num(tracked.get("grazed", np.zeros(len(scene)))),
+        grazes=np.nan_to_num(columns["grazed"]),
         status=status,
         record=scene.scales.time * columns["ended"],
         steps=columns["steps"],

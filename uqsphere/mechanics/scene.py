@@ -321,8 +321,7 @@ class Scene:
     @cached_property
     def first_echo(self) -> Values:
         """Arrival of the first reflected wave at the sphere, (n,) [s]; infinite without one."""
-        arrivals = np.where(self.reflections != 0.0, self.round_trips, np.inf)
-        return arrivals.min(axis=1)
+        return np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1)
 
     @cached_property
     def record_end(self) -> Array:

@@ -112,7 +112,8 @@ class Measures(dict[str, Values]):
         self.answers = answers
         self.good = answered(answers.status)
         self.sphere = sphere_body(scene.columns)
-        self.partner = softest_partner(scene)
+        #: the counter-body that yields first in each row
+        self.partner = reduce(softer, [partner.body for partner in scene.there])
         #: numbers of the counter-body ahead, by their keys
         self.ahead = partial(scene.numbers, scene.partners[1].table)
         self.faces = [partner.face for partner in scene.there if partner.face is not None]
@@ -336,11 +337,6 @@ class Measures(dict[str, Values]):
 
     def chatter(self) -> Values:
         return self["retouches"]
-
-
-def softest_partner(scene: Scene) -> ContactParameters:
-    """Contact parameters of the counter-body that yields first in each row."""
-    return reduce(softer, [partner.body for partner in scene.there])
 
 
 def _over_onset(pressure: Values, onset: Array) -> Values:

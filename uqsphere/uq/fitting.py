@@ -92,7 +92,7 @@ class LocationScale:
         spread = np.sqrt(y**2 @ failures / count)
         y /= spread[:, None]
         at = np.outer([1.0, 0.0], np.ones(len(y)))
-        step = np.zeros((2, len(y)))
+        step = np.zeros_like(at)
         best = np.full(len(y), -math.inf)
         for _ in range(200):
             h, g = at + step
@@ -241,7 +241,7 @@ class StrengthTests:
         the first: none.
         """
         ended = np.bincount(np.cumsum(self.failures).astype(int), self.stopped)
-        return ended[1:] + np.ones(ended.size - 1)
+        return ended[1:] + np.float64(1.0)
 
     def best(self, law: LocationScale) -> tuple[float, float]:
         """Location and scale of u(x) by the largest likelihood."""

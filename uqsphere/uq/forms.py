@@ -355,19 +355,15 @@ def bandwidth(data: Array) -> float:
 
 # --- means of many laws ---------------------------------------------------------------------------
 
-#: laws of a mean by their standard form, and y (..., 1) -> its argument (..., laws)
-Part = tuple[Form, Function]
 
-
-def _mean_of(count: int, parts: list[Part], nodes: Callable[[], Array]) -> Form:
-    """The form of a mean of `count` laws: of few values by the laws themselves, of more by cubics
-    over the nodes.
+def _mean_of(count: int, each: Callable[[Array], Any], nodes: Callable[[], Array]) -> Form:
+    """The form of a mean of `count` laws by the tails of each, (2, ..., count) at y (..., 1): of
+    few values by these themselves, of more by cubics over the nodes.
     """
 
     @quiet
     def own_tails(y: Array) -> Tails:
-        each = [form.tails(z(y[..., None])) for form, z in parts]
-        below, above = np.concatenate(each, axis=-1).mean(axis=-1)
+        below, above = np.mean(each(y[..., None]), axis=-1)
         return below, above
 
     @cache
@@ -414,7 +410,7 @@ def _kernels(data: Array, width: float) -> Form:
         ]
         return np.concatenate(pieces)
 
-    form = _mean_of(data.size, [(GAUSS, lambda y: (y - data) / width)], nodes)
+    form = _mean_of(data.size, lambda y: GAUSS.tails((y - data) / width), nodes)
     return replace(form, moments=(float(data.mean()), math.hypot(data.std(), width)))
 
 
@@ -425,10 +421,12 @@ def drawn(law: "Law") -> Form:
     _, least, scale, modulus, _ = rows[rows[:, 0] == WEIBULL].T
     hazard = weibull(modulus)
 
-    def logarithm(y: Array) -> Array:
+    def each(y: Array) -> Array:
         # what is left of 1 below the upper end of each law
         left = np.maximum(1.0 - bound * (np.exp(y) / median), 0.0)
-        return np.asarray((y - np.log(median) - np.log(left)) / sd)
+        logarithm = (y - np.log(median) - np.log(left)) / sd
+        weakest = hazard.tails((np.exp(y) - least) / scale)
+        return np.concatenate([GAUSS.tails(logarithm), weakest], axis=-1)
 
     @quiet
     def nodes() -> Array:
@@ -446,8 +444,4 @@ def drawn(law: "Law") -> Form:
         pieces = (max(start, -690.0), low, 1000), (low, high, 4001), (high, end, 1000)
         return np.unique(np.concatenate([np.linspace(*piece) for piece in pieces]))
 
-    return _mean_of(
-        len(rows),
-        [(GAUSS, logarithm), (hazard, lambda y: (np.exp(y) - least) / scale)],
-        nodes,
-    )
+    return _mean_of(len(rows), each, nodes)
