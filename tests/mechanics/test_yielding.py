@@ -22,6 +22,12 @@ def face(b: float, pile_up: float, onset: float = 1e9) -> Face:
     )
 
 
+def restitution(law: Face, z: np.ndarray) -> np.ndarray:
+    """Coefficient of restitution of an impact to the depth z, without waves."""
+    state = law.pressed(z)
+    return np.sqrt(state.stored / (state.stored + state.dissipated))
+
+
 def table() -> np.ndarray:
     return np.genfromtxt(THETA, delimiter=",", names=True)
 
@@ -40,7 +46,7 @@ def test_the_law_has_the_values_of_its_table(row):
         "D": state.dissipated / unit,
         "p_m": state.p_mean / law.onset,
         "p_0": state.p_max / law.onset,
-        "e": law.restitution(z),
+        "e": restitution(law, z),
     }
     for name, value in found.items():
         assert value[0] == pytest.approx(row[name], rel=2e-9), name
@@ -57,7 +63,7 @@ def test_thornton_has_his_closed_form(z, e):
         * math.sqrt(1.0 - rho**2 / 6.0)
         * (rho / (rho + 2.0 * math.sqrt(1.2 - rho**2 / 5.0))) ** 0.25
     )
-    assert law.restitution(np.array([z]))[0] == pytest.approx(closed, rel=1e-12)
+    assert restitution(law, np.array([z]))[0] == pytest.approx(closed, rel=1e-12)
     assert closed == pytest.approx(e, rel=1e-11)
 
 
@@ -112,7 +118,7 @@ def test_hardness_without_end_is_hertz():
 def test_far_beyond_onset_restitution_falls_as_johnson_says():
     """e² -> 1.2 (1 + b)/sqrt(C) z^(-1/2): Johnson, Contact Mechanics (11.46), for C = 2."""
     law, z = face(3.0, 2.0), np.array([1e8])
-    assert law.restitution(z)[0] ** 2 == pytest.approx(1.2 * 4.0 / math.sqrt(2.0) * 1e-4, rel=2e-2)
+    assert restitution(law, z)[0] ** 2 == pytest.approx(1.2 * 4.0 / math.sqrt(2.0) * 1e-4, rel=2e-2)
 
 
 def test_metal_begins_to_yield_at_sixteen_tenths_of_its_strength():

@@ -114,11 +114,6 @@ def relaxing_approach(start: Values, after: Values) -> Values:
     return (1.0 / np.sqrt(start) + 0.5 * after) ** -2.0
 
 
-def relaxing_time(start: Values, x: Values) -> Values:
-    """Scaled time in which the approach decreases from `start` to x; inverse of (12)."""
-    return 2.0 * (1.0 / np.sqrt(x) - 1.0 / np.sqrt(start))
-
-
 @quiet
 def massless_approach(s: Values, theta: Values) -> Array:
     """Scaled approach of the massless sphere under a rectangular pulse of length theta.
@@ -147,7 +142,8 @@ def _massless(scene: Scene) -> ColumnMap:
     horizon = scene.record_end / scene.scales.time
     loaded = np.minimum(theta, horizon)
     peak = loading_approach(loaded)
-    tail = theta + relaxing_time(peak, peak * TAIL_SHARE ** (2.0 / 3.0))
+    # the force falls to its share by (12)
+    tail = theta + 2.0 / np.sqrt(peak) * (TAIL_SHARE ** (-1.0 / 3.0) - 1.0)
     ended = np.where(np.isfinite(horizon), horizon, tail)
     # x' = f - q: the impulse is that of the pulse minus the remaining approach, zero at the end of
     # the tail
@@ -163,11 +159,6 @@ def _massless(scene: Scene) -> ColumnMap:
         "duration": (loaded - remaining) / peak**1.5,
         "rise": loading_time(peak * 0.9 ** (2.0 / 3.0)) - loading_time(peak * 0.1 ** (2.0 / 3.0)),
     }
-
-
-def reduced_mass(mass: Values, partner: Values) -> Values:
-    """M* = M m/(M + m) [kg] of a sphere and a free counter-body (fixed: m = inf). (R6)."""
-    return mass / (1.0 + mass / partner)
 
 
 #: columns of the table: restitution, peak force, contact time, rise time
@@ -206,11 +197,6 @@ def _elastic(scene: Scene, ahead: Partner, force: Array) -> ColumnMap:
         lam = force / (scene.scales.speed * ahead.impedance)
     at = elastic_impact(lam)
     return {**at, "radiated": (1.0 - np.square(at["restitution"])) / (2.0 * lam)}
-
-
-def light_sphere_constant(behind: Values, ahead: Values) -> Values:
-    """Hertz constant of two contacts in series, with a massless sphere between them, (R15)."""
-    return (behind ** (-2.0 / 3.0) + ahead ** (-2.0 / 3.0)) ** -1.5
 
 
 # --- scenes ---------------------------------------------------------------------------------------
@@ -294,8 +280,10 @@ def solve_closed(
 def _light(scene: Scene) -> ColumnMap:
     """Drop weight on a light sphere: contacts in series, (R15) and (R13), peaks raised by (R16)."""
     scales, (behind, ahead) = scene.scales, scene.there
-    both = light_sphere_constant(behind.hertz_constant, ahead.hertz_constant)
-    moved = reduced_mass(behind.mass, ahead.mass)
+    softness = behind.hertz_constant ** (-2.0 / 3.0) + ahead.hertz_constant ** (-2.0 / 3.0)
+    both = softness**-1.5
+    # (R6); m where the anvil is fixed
+    moved = behind.mass / (1.0 + behind.mass / ahead.mass)
     force = both**0.4 * moved**0.6 * scales.speed**1.2
     at = _elastic(scene, ahead, force)
     time = contact.approach_at_force(force, both) / (scales.speed * scales.time)
@@ -353,7 +341,7 @@ def _impact(scene: Scene) -> ColumnMap:
         # m V_c²/2, (R5)
         depth = face.depth_of_energy(0.5 * scales.force * scales.approach)
         state = face.pressed(depth)
-        restitution = face.restitution(depth)
+        restitution = np.sqrt(state.stored / (state.stored + state.dissipated))
         to_scaled = face.onset_approach / scales.approach
         x = depth * to_scaled
         rising = (face.depth_at(share * state.P_max) for share in (0.1, 0.9))

@@ -18,7 +18,7 @@ from uqsphere.arrays import Array, ColumnMap, Flags, Places, Values, frozen, qui
 from uqsphere.units import Quantity
 
 from . import contact
-from .criteria import CRITERIA, DEMANDS, Demands, demand
+from .criteria import CRITERIA, Demands, demand
 from .inputs import declared
 from .integrator.tracked import DOMAIN, NOT_FINITE, WISHES
 from .scene import Partner, Scene, answered
@@ -34,7 +34,7 @@ _DEMAND_OF = {entry.quantity: entry for entry in CRITERIA.values() if entry.quan
 #: every quantity of interest of the impact model
 OUTPUTS = {name: Quantity(name=name, **entry) for name, entry in declared("outputs.toml").items()}
 OUTPUTS |= {
-    name: replace(DEMANDS[entry.name], name=name, meaning=entry.measures)
+    name: replace(entry, name=name, meaning=entry.measures)
     for name, entry in _DEMAND_OF.items()
     if name not in OUTPUTS
 }

@@ -10,7 +10,6 @@ Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -83,10 +82,9 @@ class Rig:
 
     title: as it stands in the description of a study.  meaning: one sentence.  behind, ahead:
     tables of the counter-bodies at contacts A and B; empty where the sphere is free.  kinds: their
-    kinds; empty where the study chooses (`target.kind`, `anvil.kind`).  loading: `wave`, a pulse
-    that arrives through the bar at A; `impact`, bodies that meet with a speed; `press`, slow
-    loading.  mover: table with the speed at first touch, `striker`, `rig` (the sphere moves) or
-    `hammer`; empty for slow loading.
+    kinds; empty where the study chooses (`target.kind`, `anvil.kind`).  mover: table with the speed
+    that loads the sphere: `striker`, whose pulse arrives through the bar at A; `rig`, where the
+    sphere itself moves, or `hammer`, for bodies that meet with a speed; empty for slow loading.
     """
 
     name: str
@@ -95,23 +93,22 @@ class Rig:
     behind: str
     ahead: str
     kinds: tuple[str, str]
-    loading: Literal["wave", "impact", "press"] = "impact"
     mover: str = ""
 
     @property
     def by_wave(self) -> bool:
         """Whether a stress wave loads the sphere."""
-        return self.loading == "wave"
+        return self.mover == "striker"
 
     @property
     def by_impact(self) -> bool:
         """Whether bodies meet with a speed; their record ends when they part."""
-        return self.loading == "impact"
+        return self.sphere_moves or self.weight_falls
 
     @property
     def by_press(self) -> bool:
         """Whether the sphere is loaded slowly."""
-        return self.loading == "press"
+        return not self.mover
 
     @property
     def sphere_moves(self) -> bool:
@@ -146,7 +143,6 @@ RIGS = {
             behind="bars",
             ahead="bars",
             kinds=("bar", "bar"),
-            loading="wave",
             mover="striker",
         ),
         Rig(
@@ -192,7 +188,6 @@ RIGS = {
             behind="platens",
             ahead="platens",
             kinds=("platen", "platen"),
-            loading="press",
         ),
     )
 }

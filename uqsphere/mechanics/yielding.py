@@ -301,8 +301,3 @@ class Face:
             stored=stored * force_y * alpha_y,
             dissipated=np.where(depth > 1.0, (self.work(depth) - stored) * force_y * alpha_y, 0.0),
         )
-
-    def restitution(self, depth: Array) -> Values:
-        """Coefficient of restitution of an impact to the depth z, without waves."""
-        recovered = 0.4 * self.force(depth) * self.recovery(depth)
-        return np.sqrt(recovered / self.work(depth))
