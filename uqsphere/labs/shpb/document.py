@@ -163,7 +163,7 @@ class RecordDocument(Section):
     @classmethod
     def _complete(cls, data: Any) -> Any:
         """Complete the receiving bar by the incident one, and materials by their numbers."""
-        if not isinstance(data, dict) or not isinstance(data.get("incident_bar"), dict):
+        if not isinstance(data.get("incident_bar"), dict):
             return data
         incident = from_library(data["incident_bar"], "bars")
         receiving = from_library(data.get("receiving_bar", {}), "bars")

@@ -102,7 +102,7 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
         )
     above = [row for number, row in cells.items() if number < first]
     if not above:
-        comments = {k: x.lstrip("# ") for k, x in lines.items() if k < first and is_comment(x)}
+        comments = {k: line.lstrip("# ") for k, line in lines.items() if k < first}
         above = [*cells_of(comments, divider).values()]
     above = [row[:width] for row in above if len(row) in (width, width + 1)]
     units = []
@@ -435,7 +435,7 @@ def _by_role(
 def _repeats(column: Column, time: Array, unit: str) -> bool:
     """Whether a column repeats the time; UsageError for the time of another clock."""
     dimension = column.unit(unit)[0]
-    if not column.rises or dimension not in ("time", "") or len(column.values) < len(time):
+    if not column.rises or dimension not in ("time", ""):
         return False
     alike = _is_clock(column, time, unit)
     if dimension == "time" and not alike:
