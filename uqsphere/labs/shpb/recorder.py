@@ -514,7 +514,7 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
     lost = 0
     for trace, values in zip(traces, raw, strict=True):
         good = np.isfinite(values)
-        seen = np.concatenate([[-np.inf], time[good], [np.inf]])
+        seen = np.pad(time[good], 1, constant_values=(-np.inf, np.inf))
         place = np.searchsorted(seen, grid)
         before = seen[place - 1]
         after = seen[place]
@@ -555,7 +555,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
     if text:
         changes.add("read", text)
         places = np.flatnonzero(first)
-        counts = np.diff(np.append(places, len(time)))
+        counts = np.diff(places, append=len(time))
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
     # a coarse clock takes steps of one digit, again and again
     digit = steps.max()

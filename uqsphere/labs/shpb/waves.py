@@ -260,7 +260,7 @@ def _moved(wave: Array, gauge: Signal, direction: float) -> Array:
     room = max(8, math.ceil(2.0 * bar.passage / gauge.step))
     fading = wave[-1] * 0.5 * (1.0 + np.cos(np.linspace(0.0, math.pi, room)))
     moved = correct(
-        np.concatenate([np.zeros(room), wave, fading, np.zeros(room)]),
+        np.pad(np.append(wave, fading), room),
         gauge.step,
         direction * bar.gauge,
         radius=0.5 * bar.diameter,
@@ -394,8 +394,7 @@ def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float |
     if "A" not in forces or np.isnan(forces["A"].force).any():
         return None, rate
     smooth_a = smooth(forces["A"].force, 5)
-    mean = 0.5 * (smooth_a + smooth_b)
-    even = np.abs(smooth_a - smooth_b) <= 2.0 * EQUILIBRIUM * np.abs(mean)
+    even = np.abs(smooth_a - smooth_b) <= EQUILIBRIUM * np.abs(smooth_a + smooth_b)
     return even[half : top + 1].mean(), rate
 
 
