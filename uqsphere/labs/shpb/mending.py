@@ -134,7 +134,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     start, traces = read_traces(document, folder, changes)
     traces = [_without_faults(trace) for trace in traces]
     pulses = [
-        _first_wave(trace, trace.strain - _rest_of(trace.strain), share=_INCIDENT)
+        _first_wave(trace, _above_rest(trace.strain), share=_INCIDENT)
         for trace in traces
         if trace.role == "incident"
     ]
@@ -236,7 +236,7 @@ def _first_wave(
     peak = upward[first : last + 1].max()
     rising = first - np.flatnonzero(upward[:first] < 0.2 * share * peak).max(initial=0)
     # from foot to end, by running means that are short beside its rise
-    width = max(round(2.0 * _SHORTEST / gauge.step), rising // 5 + 1)
+    width = max(width, rising // 5 + 1)
     upward = sign * smooth(values, width)
     level = max(0.01 * peak, 4.0 * noise / math.sqrt(width))
     before = np.flatnonzero(upward[:first] < level)
@@ -314,8 +314,7 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
     left = values - middle
     away = np.abs(left)
     scatter = np.maximum(median_filter(away, 5 * width, mode="nearest"), np.median(away))
-    rest = np.median(middle[: max(_FEWEST, len(middle) // 50)])
-    peak = np.abs(middle - rest).max()
+    peak = np.abs(_above_rest(middle)).max()
     bounds = np.maximum(_ODD * (_ROBUST * scatter), _SPIKE_SHARE * peak)
     near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
     spikes = []
@@ -338,9 +337,9 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
 # --- the rest before the first wave ---------------------------------------------------------------
 
 
-def _rest_of(values: Array) -> float:
-    """The strain at the beginning of a record."""
-    return float(np.median(values[: max(2 * _BASELINE, len(values) // 50)]))
+def _above_rest(values: Array) -> Array:
+    """A signal (n,) less its median at the beginning of the record."""
+    return values - np.median(values[: max(_FEWEST, len(values) // 50)])
 
 
 def _line(quiet: Array, place: Array) -> tuple[float, float, float, float]:
@@ -373,7 +372,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
     """
     values = trace.strain
     places = np.arange(len(values), dtype=float)
-    wave = _first_wave(trace, (values - _rest_of(values))[:limit])
+    wave = _first_wave(trace, _above_rest(values)[:limit])
     early = max(wave.half - 3 * wave.rising, end)
     if early >= 3 * _BASELINE:  # the wave above the scatter of the rest about a line through it
         third = early // 3
