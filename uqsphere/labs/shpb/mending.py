@@ -281,7 +281,7 @@ def _without_faults(trace: Trace) -> Trace:
             f"largest {size * 1e6:.4g} microstrain at sample {first}",
             size,
         )
-    known = trace.known.copy()
+    known = trace.known
     head = values[: max(len(values) // 20, _FEWEST)]
     # a recorder writes the end of its range again and again; without noise a top may be flat
     quiet = _runs(np.diff(head) == 0.0)[1].max(initial=0)
@@ -289,7 +289,7 @@ def _without_faults(trace: Trace) -> Trace:
         same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
         repeats = _runs(same)[1].max()
         if np.ptp(head) > 0.0 and repeats >= 8 and repeats > 2 * (quiet + 1):
-            known &= ~same
+            known = known & ~same
             note(
                 trace,
                 "clipped",

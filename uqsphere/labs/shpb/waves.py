@@ -65,17 +65,14 @@ class Reading(NamedTuple):
 class _Window(NamedTuple):
     """Which samples after first touch are known at which face.
 
-    start : sample of first touch at the incident gauge; alive : samples of the incident wave before
-    the reflected one is at this gauge.
-    to_a, to_b : sample of first touch of the reflected and the transmitted wave at their gauges.
+    arrivals : of the waves at their gauges; alive : samples of the incident wave before the
+    reflected one is at this gauge.
     length : samples at face B; apart : those of face A in which the waves are apart.
     withheld : why the force at A is not given.
     """
 
-    start: int
+    arrivals: Arrivals
     alive: int
-    to_a: float
-    to_b: float
     length: int
     apart: slice
     withheld: list[str]
@@ -107,7 +104,7 @@ def read_test(record: Record) -> Reading:
     arrivals = find_arrivals(record)
     window = _window(record, arrivals)
 
-    transmitted = _at_face(receiving, window.to_b, window.length, asked.dispersion)
+    transmitted = _at_face(receiving, arrivals.to_b, window.length, asked.dispersion)
     force = -behind.stiffness * transmitted
     gain_b = behind.gain_sd
     if receiving.single:
@@ -169,7 +166,7 @@ def read_test(record: Record) -> Reading:
     notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
     _check_gauges(peaks, record, window)
     balanced, rate = _balance(forces, peaks["B"], step)
-    touch = record.start + step * window.start
+    touch = record.start + step * wave.start
     if not asked.aligned:
         touch += bar.passage
     return Reading(
@@ -227,10 +224,8 @@ def _window(record: Record, arrivals: Arrivals) -> _Window:
     if not reasons:
         count = min(count, count_a)
     return _Window(
-        start=wave.start,
+        arrivals=arrivals,
         alive=int(min(count, delay, len(incident.strain) - wave.start)),
-        to_a=arrivals.to_a,
-        to_b=arrivals.to_b,
         length=count,
         apart=slice(first, min(last, count)),
         withheld=[f"force at A: {reason}" for reason in reasons],
@@ -311,12 +306,12 @@ def _near_face(
     doubt = ""
     alive = np.arange(count) < window.alive
     incident = np.zeros(count)
-    incident[alive] = before.strain[window.start :][: window.alive]
+    incident[alive] = before.strain[before.wave.start :][: window.alive]
     # where the two waves overlap neither can be moved by itself
     moves = asked.dispersion and window.whole
     if moves:
         incident = _moved(incident, before, 1.0)
-    reflected = _at_face(after, window.to_a, count, moves)
+    reflected = _at_face(after, window.arrivals.to_a, count, moves)
     if asked.aligned and asked.polarity == "auto" and not record.shared:
         body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
         if reflected[body].mean() <= 0.0:
@@ -368,14 +363,14 @@ def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
     incident = record.incident
     receiving = record.receiving
     step = incident.step
-    spread = _samples(receiving.spread, window.to_b, count)
+    spread = _samples(receiving.spread, window.arrivals.to_b, count)
     check_bending(peaks, "B", receiving.bar.stiffness * spread, step, peaks["B"].value)
     if window.withheld:
         peaks.doubt("B", "the force at A is not known: it does not check gauge and gain of B")
         return
     spread = np.maximum(
-        _samples(incident.spread, window.start, count),
-        _samples(record.reflected.spread, window.to_a, count),
+        _samples(incident.spread, incident.wave.start, count),
+        _samples(record.reflected.spread, window.arrivals.to_a, count),
     )
     stiffness = incident.bar.stiffness
     check_bending(peaks, "A", stiffness * spread, step, stiffness * incident.wave.peak)
