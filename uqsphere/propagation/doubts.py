@@ -29,7 +29,8 @@ from uqsphere.uq.limit_state import make_union
 from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .limits import common_factor
-from .line import Line, YieldingRows, exceedance, score
+from .line import Line, YieldingRows, ends_by_rows, exceedance, score
+from .tables import Compared
 
 #: strengths that tests allow
 LAWS = 400
@@ -350,7 +351,7 @@ class Curves:
         carried_by = self._carrying(limit)
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
         if self.line.compared is not None:
-            curves = self._by_rows(limit, base)
+            curves = self._by_rows(limit, base, self.line.compared)
         doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
@@ -358,9 +359,9 @@ class Curves:
                 return replace(doubt, margin=None)
         return doubt
 
-    def _by_rows(self, limit: Limit, base: Array) -> list[Array]:
+    def _by_rows(self, limit: Limit, base: Array, compared: Compared) -> list[Array]:
         """The unsafe ends (K,) of probabilities (2, K, R) of a limit by a slow model: what its rows
-        leave open of every limit that adds up with it is added.
+        leave open, and do not show, of every limit that adds up with it is added.
         """
         adding = [limit]
         if self.adds_up(limit):
@@ -369,8 +370,8 @@ class Curves:
         away = []
         for other in adding:
             means = self.base(other)[0]
-            ends = self.line.ends_by_rows(other, means)[int(self.aim.survive)]
-            away.append(ends - means.mean(axis=1))
+            ends = ends_by_rows(self.line.design, compared, other, self.line.values, means)
+            away.append(ends[2 + self.aim.survive] - means.mean(axis=1))
         alone, joint = base.mean(axis=2)
         return [alone + away[0], np.clip(joint + np.sum(away, axis=0), 0.0, 1.0)]
 

@@ -103,13 +103,6 @@ class Line:
         factors = [demand_factor(margins, limit, value) for value in self.values]
         return replace(state, demands=state.demands * np.repeat(factors, self._counts))
 
-    def ends_by_rows(self, limit: Limit, means: Array) -> Array:
-        """Ends (2, K) of the mean exceedance (K, R) of a limit by a slow model, with what no row
-        shows.
-        """
-        assert self.compared is not None
-        return ends_by_rows(self.design, self.compared, limit, self.values, means)[2:]
-
     def by_value(self, rows: Array) -> list[Array]:
         """Rows (R, N) apart, a part for each value."""
         return np.split(rows, np.cumsum(self._counts)[:-1], axis=1)

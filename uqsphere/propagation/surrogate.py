@@ -166,10 +166,7 @@ def tables_of(
             in_time = max(in_time, LEAST_ROWS)
         affordable = int(min(affordable, in_time))
     along = points is None and design.study.moving is not None
-    without_line = "the run ended before its rows"
-    if points is not None:
-        without_line = "rows that are given do not vary the free number"
-    else:
+    if points is None:
         count = affordable
         if along:
             count = int(affordable * (1.0 - LINE_BUDGET))
@@ -185,7 +182,10 @@ def tables_of(
     margins = design.study.margins
     if margins is not None and margins.limit is not None and slow.predicted is not None:
         compared = Compared(sample=_compared(slow.rows, [*slow.responses.values()]))
-    tables: Tables = replace(slow, compared=compared, without_line=without_line)
+    tables: Tables = replace(slow, compared=compared)
+    if not along:
+        given = "rows that are given do not vary the free number"
+        tables = replace(tables, without_line=given)
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
