@@ -338,8 +338,8 @@ def _impact(scene: Scene) -> ColumnMap:
             **_over(at["duration"]),
         }
     else:
-        # m V_c²/2, (R5)
-        depth = face.depth_of_energy(0.5 * scales.force * scales.approach)
+        moved = scales.mass / (1.0 + scales.mass / ahead.mass)
+        depth = face.depth_of_energy(0.5 * moved * np.square(scales.speed))
         state = face.pressed(depth)
         restitution = np.sqrt(state.stored / (state.stored + state.dissipated))
         to_scaled = face.onset_approach / scales.approach

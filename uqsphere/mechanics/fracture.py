@@ -22,6 +22,8 @@ from .outputs import OUTPUTS, Columns, columns_of, columns_of_press
 from .roots import bisect
 from .scene import Scene
 
+#: halvings that refine a crossing within a part of a step, to 2^-49 of the step
+_HALVINGS = 45
 _SHARES = np.arange(1, ORDER + 1) / ORDER
 _POWERS = _SHARES[None, :] ** np.arange(TERMS)[:, None]
 #: rows whose motions are kept in memory together
@@ -245,7 +247,7 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
         return demand(criterion, Columns({**columns, **pressed}), path.parameters)
 
     wanted = share * demand_at(top)
-    return bisect(lambda part: demand_at(part * top) < wanted, 0.0, 1.0)[1]
+    return bisect(lambda part: demand_at(part * top) < wanted, 0.0, 1.0, _HALVINGS)[1]
 
 
 def _cross(
@@ -283,7 +285,9 @@ def _cross(
         return {"force": _larger_force(scene, drive), "energy": energy}
 
     high = _SHARES[at % ORDER]
-    _, high = bisect(lambda share: moment(share)[path.over] < level, high - 1.0 / ORDER, high)
+    _, high = bisect(
+        lambda share: moment(share)[path.over] < level, high - 1.0 / ORDER, high, _HALVINGS
+    )
     reached = moment(high)
     instant = (of_steps("start") + high * of_steps("length")) * time
     return np.stack([instant, *(unit * reached[name] for name, unit in units.items())])

@@ -6,17 +6,19 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Values
 
-#: halvings of brackets that are a small part of what is looked for: together they exhaust a double
-_HALVINGS = 48
+#: halvings that exhaust a double, whose mantissa has 52 bits
+_HALVINGS = 52
 #: limit of Newton iterations, which converge quadratically from the convex side; relative step that
 #: ends them
 MOST_ITERATIONS = 60
 _STILL = 1e-15
 
 
-def bisect(below: Callable[[Array], Flags], low: Values, high: Values) -> tuple[Array, Array]:
+def bisect(
+    below: Callable[[Array], Flags], low: Values, high: Values, halvings: int = _HALVINGS
+) -> tuple[Array, Array]:
     """Brackets (n,) of roots, halved; `below` returns whether the root lies above a point."""
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (low + high)
         above = below(middle)
         low = np.where(above, middle, low)
