@@ -528,7 +528,7 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     try:
         return replace(table_of(name, rows, notes, decimal), apart=apart)
     except TableError as error:
-        raise TableError(f"{error}{_other_sheets(notes)}", error.key) from None
+        raise TableError(f"{error}{_other_sheets(notes)}") from None
 
 
 def _other_sheets(notes: Iterable[str]) -> str:

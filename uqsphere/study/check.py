@@ -157,7 +157,7 @@ def _rig(draft: Draft) -> Faults:
                 f"{rig}. Remove it",
                 table,
             )
-    needed = {"sphere", *RIG_TABLES[draft.rig.name]} - {"pulse", "insert", *data}
+    needed = {"sphere", *draft.rig.tables} - {"pulse", *data}
     if draft.document.pulse.shape == "measured":
         needed.discard("striker")
     for table in needed:
@@ -539,11 +539,10 @@ def _dependence(draft: Draft) -> None:
                 if name in draft.numbers:
                     message = f"{shown(name)} is a fixed number. Make it random, or remove it here"
                 raise Fault(message, f"dependence[{index}].of[{at}]")
-        tie = Dependence(**dict(table))
-        draft.dependence.append(tie)
-        _joined(random, [tie], index)
+        draft.dependence.append(Dependence(**dict(table)))
+        _joined(random, draft.dependence[-1:], index)
     if draft.dependence:  # all of them at once: some agree only with one that follows
-        _joined(random, draft.dependence, len(draft.dependence) - 1)
+        _joined(random, draft.dependence, index)
 
 
 def _joined(random: Mapping[str, Law], ties: Sequence[Dependence], index: int) -> None:

@@ -97,7 +97,6 @@ Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Pair = Annotated[tuple[str, ...], *_several(2, 2)]
 Seconds = Annotated[float, *_fixed("time")]
 Length = Annotated[float, *_fixed("length")]
-Measures = Annotated[tuple[Literal["morris", "delta", "pawn", "hdmr"], ...], *_several()]
 
 
 # --- the scene ------------------------------------------------------------------------------------
@@ -334,7 +333,7 @@ class Analysis(TomlTable):
     """upper limits: `{ evaluations = 2_000_000, time = "10 min" }`"""
     quantiles: Shares = (0.01, 0.05, 0.5, 0.95, 0.99)
     """probabilities of the quantiles"""
-    measures: Measures = ()
+    measures: Annotated[tuple[Literal["morris", "delta", "pawn", "hdmr"], ...], *_several()] = ()
     """sensitivity measures of SALib in addition to Sobol' indices: `morris`, `delta`, `pawn`,
     `hdmr`"""
     second_order: bool = False

@@ -68,8 +68,8 @@ _POWERS = {
 #: usual strengths by dimension [SI], where the pressures are tensions, and those of contacts
 _USUAL = {"pressure": (1e5, 5e9), "specific_energy": (1.0, 2e4), "toughness": (1e4, 2e7)}
 _CONTACT = (3e7, 1e11)
-#: usual 0.9 P/D² of brittle spheres [Pa]; of a material how far from its tensile strength
-_TENSION, _FAR = (2e5, 5e8), 20.0
+#: tensile strengths of brittle spheres [Pa]; a factor off them within which 0.9 P/D² is usual
+_TENSION, _FAR = (4e6, 2.5e7), 20.0
 #: units that a file of tests may have been in
 _LENGTHS, _FORCES = ("um", "mm", "cm", "m"), ("N", "kN", "MN")
 #: 0.9 P/D² of a test over the median, or the other way round, above which its unit is asked about
@@ -391,7 +391,11 @@ def _warn_of_slips(
     force = columns["force"]
     diameter = columns["diameter"]
     across = 2.0 * draft.mean("sphere.radius")
-    low, high = _usual_tension(draft)
+    # around the tensile strength of the material
+    low, high, _ = like_material(draft.materials.get("sphere", "")).range_of("tensile_strength")
+    if math.isnan(low):
+        low, high = _TENSION
+    low, high = low / _FAR, high * _FAR
 
     def is_usual(force: Array, diameter: Array) -> bool:
         typical = np.median(0.9 * force / np.square(diameter))
@@ -433,14 +437,6 @@ def _warn_of_slips(
         hint = "are the columns of force and diameter swapped?"
     draft.warn(f"{table.file}: {text}: {hint}", key, holds="unit")
     return tension
-
-
-def _usual_tension(draft: Draft) -> tuple[float, float]:
-    """Usual 0.9 P/D² [Pa] of spheres: around the tensile strength of their material."""
-    low, high, _ = like_material(draft.materials.get("sphere", "")).range_of("tensile_strength")
-    if math.isnan(low):
-        return _TENSION
-    return low / _FAR, high * _FAR
 
 
 # --- the sphere in the tests ----------------------------------------------------------------------

@@ -387,15 +387,6 @@ def opened(table: Any, draft: "Draft", key: str = "file") -> Iterator[Table]:
         raise Fault(f"{shown(name)} cannot be read as a file", key) from None
 
 
-@contextmanager
-def _blamed(*keys: str, otherwise: str) -> Iterator[None]:
-    """Turns the fault of a law into one at the key that is to blame, if it is one of these."""
-    try:
-        yield
-    except LawError as error:
-        raise Fault(error.message, error.key if error.key in keys else otherwise) from None
-
-
 # --- distributions --------------------------------------------------------------------------------
 
 
@@ -420,8 +411,10 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
         weighted = declared(Discrete, raw)
         with within("values"):
             values = [value_of(value, quantity) for value in weighted.values]
-        with _blamed("values", "weights", otherwise=""):
+        try:
             return Number(value=discrete_law(values, weighted.weights))
+        except LawError as error:
+            raise Fault(error.message, error.key) from None
     table = declared(Observations, raw)
     if table.draws is not None:
         return _drawn(table, quantity, draft)
@@ -549,13 +542,16 @@ def fit(
             "…)",
             "file",
         )
-    with _blamed("fit", "lower", "upper", otherwise="file"):
-        failures = data[~stopped].tolist()
-        censored = data[stopped].tolist()
+    failures = data[~stopped].tolist()
+    censored = data[stopped].tolist()
+    try:
         if modulus:
             modulus /= slope
             return law_of_known_modulus(failures, table.fit, censored=censored, modulus=modulus)
         return fitted_law(failures, table.fit, *bounds, censored=censored, unbiased=table.unbiased)
+    except LawError as error:
+        key = error.key if error.key in ("fit", "lower", "upper") else "file"
+        raise Fault(error.message, key) from None
 
 
 def warn_of_rows(
