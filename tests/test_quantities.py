@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from uqsphere.quantities import (
-    format_conservative,
     format_estimate,
     format_probability,
     format_probability_estimate,
@@ -64,22 +63,23 @@ def test_a_bound_of_a_probability_is_rounded_outwards() -> None:
 def test_conservative_values_never_pass_the_bound() -> None:
     rng = np.random.default_rng(5)
     for value in 10.0 ** rng.uniform(-6.0, 3.0, 300):
-        down = round_conservative(value, "striker.speed", safe_above=False)
-        up = round_conservative(value, "striker.speed", safe_above=True)
+        down, text = round_conservative(value, "striker.speed", safe_above=False)
+        up, _ = round_conservative(value, "striker.speed", safe_above=True)
         assert down <= value * (1.0 + 1e-9)
         assert up >= value * (1.0 - 1e-9)
         assert up - down <= 0.101 * value
         # what is shown is the rounded number itself
-        number, unit = format_conservative(value, "striker.speed", safe_above=False).split()
+        number, unit = text.split()
         assert unit == "m/s"
         assert float(number) == pytest.approx(down, rel=1e-12)
 
 
 def test_round_numbers_stay_as_they_are() -> None:
     for least in (False, True):
-        assert format_conservative(0.12, "striker.speed", safe_above=least) == "0.12 m/s"
-        assert format_conservative(0.65 + 1e-16, "striker.speed", safe_above=least) == "0.65 m/s"
-    assert format_conservative(0.0, "striker.speed", safe_above=True) == "0 m/s"
+        assert round_conservative(0.12, "striker.speed", safe_above=least)[1] == "0.12 m/s"
+        text = round_conservative(0.65 + 1e-16, "striker.speed", safe_above=least)[1]
+        assert text == "0.65 m/s"
+    assert round_conservative(0.0, "striker.speed", safe_above=True) == (0.0, "0 m/s")
 
 
 def test_estimates_have_the_digits_of_their_interval() -> None:

@@ -103,20 +103,20 @@ def format_together(values: Sequence[float], name: str) -> list[str]:
 
 def round_conservative(
     value: float, name: str, *, safe_above: bool, planned: float | None = None
-) -> float:
-    """A conservative bound [SI] rounded to what people read: up if it is the least allowable
-    value, else down.
+) -> tuple[float, str]:
+    """A conservative bound [SI] rounded to what people read, and its text: up if it is the least
+    allowable value, else down.
 
     Further digits are kept where two would give away more than 5 %, or would leave a planned value
     without margin that has one.  Ratios that stand beside the rounded number are computed from it,
     so that text and ratio agree.
 
     >>> [round_conservative(x, "striker.speed", safe_above=False) for x in (0.458, 1.08)]
-    [0.45, 1.08]
+    [(0.45, '0.45 m/s'), (1.08, '1.08 m/s')]
     >>> round_conservative(0.458, "striker.speed", safe_above=False, planned=0.456)
-    0.458
+    (0.458, '0.458 m/s')
     """
-    factor = display_unit(name, value)[1]
+    unit, factor = display_unit(name, value)
     scaled = value * factor
     direction = 1 if safe_above else -1
     kept = direction * factor * (math.nan if planned is None else planned)
@@ -126,20 +126,7 @@ def round_conservative(
         passed = direction * rounded > kept >= direction * scaled
         if abs(rounded - scaled) <= 0.05 * abs(scaled) and not passed:
             break
-    return rounded / factor
-
-
-def format_conservative(
-    value: float, name: str, *, safe_above: bool, planned: float | None = None
-) -> str:
-    """Text of a conservative bound [SI], rounded as `round_conservative` does.
-
-    >>> format_conservative(0.458, "striker.speed", safe_above=True)
-    '0.46 m/s'
-    """
-    unit, factor = display_unit(name, value)
-    rounded = round_conservative(value, name, safe_above=safe_above, planned=planned)
-    return f"{rounded * factor:g} {unit}".rstrip()
+    return rounded / factor, f"{rounded:g} {unit}".rstrip()
 
 
 def _power(value: float) -> int:

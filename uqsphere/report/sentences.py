@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
-from uqsphere.quantities import format_conservative, format_probability, round_conservative
+from uqsphere.quantities import format_probability, round_conservative
 from uqsphere.results.types import (
     AccuracyEntry,
     Aim,
@@ -205,9 +205,9 @@ class DecisionText:
         if x is None or self._free is None:
             return "none"
         free = self._free
-        return format_conservative(
+        return round_conservative(
             x, free.quantity, safe_above=self._safe_above, planned=free.planned
-        )
+        )[1]
 
     def _allowed(self, x: float) -> str:
         return f"at {'least' if self._safe_above else 'most'} {self.number(x)}"
@@ -235,7 +235,7 @@ class DecisionText:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.quantity)}"
         if use is not None and use.value > 0.0 and planned > 0.0:
-            used = round_conservative(
+            used, _ = round_conservative(
                 use.value, free.quantity, safe_above=self._safe_above, planned=planned
             )
             factor = used / planned
