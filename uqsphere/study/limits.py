@@ -472,14 +472,10 @@ def _radii(draft: Draft) -> Sequence[float]:
 def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
     """The sphere of the tests at its means, as `uqsphere.mechanics.crushing` takes it."""
     assert draft.scene is not None
-    E, nu, density = (draft.mean(f"sphere.{key}") for key in ("E", "nu", "density"))
-    sphere = {
-        "E": E,
-        "nu": nu,
-        "density": density,
-        # the counter-bodies of the study's rig store energy in the contacts too
-        "partner": 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E,
-    }
+    sphere = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density")}
+    E, nu, _ = sphere.values()
+    # the counter-bodies of the study's rig store energy in the contacts too
+    sphere["partner"] = 1.0 / draft.contact_modulus - (1.0 - nu * nu) / E
     # the platens may be the partner in the rig; then the same body yields, else the sphere
     face: Any = sphere_body(draft.scene.columns)
     takes = 1.0
