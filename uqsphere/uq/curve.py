@@ -89,8 +89,8 @@ def _sure_signs(values: Array) -> Array:
 
 
 def _scores(probabilities: Array, least: Array) -> Array:
-    """Normal scores (K, R) of curves of probabilities; what lies below `least` (K, 1) is not told
-    from zero, nor from one.
+    """Normal scores of a curve of probabilities (K,), or of several (K, R); what lies below
+    `least`, (K,) or (K, 1), is not told from zero, nor from one.
     """
     above, below = (
         0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities)
@@ -101,22 +101,21 @@ def _scores(probabilities: Array, least: Array) -> Array:
     )
 
 
-def _crossings(places: Array, probabilities: Array, target: float, least: Array) -> Array:
-    """Places (R,) at which curves (K, R) take the target, by monotone cubics through their normal
-    scores; NaN if nowhere."""
+def _crossing(places: Array, probability: Array, target: float, least: Array) -> float:
+    """The place at which a curve (K,) takes the target, by a monotone cubic through its normal
+    scores; NaN if nowhere.
+    """
     from scipy.interpolate import PchipInterpolator
 
-    scores = _scores(probabilities, least)
-    direction = np.where(scores[-1] >= scores[0], 1.0, -1.0)
+    scores = _scores(probability, least) - special.ndtri(target)
+    if scores[-1] < scores[0]:
+        scores = -scores
     # half-way between the running maximum and the running minimum from the right
-    scores = np.mean(rising(direction * (scores - special.ndtri(target))), axis=0)
-    passes = (scores[0] <= 0.0) & (scores[-1] >= 0.0) & (scores[0] < scores[-1])
-    crossings = np.full(passes.size, math.nan)
-    for r in np.flatnonzero(passes):
-        roots = PchipInterpolator(places, scores[:, r]).roots(extrapolate=False)
-        nearest = places[np.abs(scores[:, r]).argmin()]
-        crossings[r] = next(filter(np.isfinite, roots), nearest)
-    return crossings
+    scores = np.mean(rising(scores), axis=0)
+    if not (scores[0] <= 0.0 <= scores[-1] and scores[0] < scores[-1]):
+        return math.nan
+    roots = PchipInterpolator(places, scores).roots(extrapolate=False)
+    return float(next(filter(np.isfinite, roots), places[np.abs(scores).argmin()]))
 
 
 def _value(
@@ -138,42 +137,42 @@ def _value(
     places = forward(grid)
     replicates = probabilities.shape[1]
     evaluations = int(behind.sum())
-    samples = behind[:, None]
     # what lies below half a sample is not told from zero
-    least = 0.5 / samples
-    pooled = probabilities.mean(axis=1)[:, None]
-    centre = _crossings(places, pooled, target, least)[0]
+    least = 0.5 / behind
+    pooled = probabilities.mean(axis=1)
+    centre = _crossing(places, pooled, target, least)
     if math.isnan(centre):
         return absent(
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
-            f"it runs from {pooled[0, 0]:.3g} to {pooled[-1, 0]:.3g}",
+            f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}",
             METHOD,
             evaluations,
         )
-    k = np.clip(np.searchsorted(places, centre), 1, grid.size - 1)
-    counted = np.abs(pooled * samples - np.round(pooled * samples)).max() < 1e-6
+    k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
+    counted = np.abs(pooled * behind - np.round(pooled * behind)).max() < 1e-6
     fewest = behind[k - 1 : k + 1].min()
     if counted and fewest * min(target, 1.0 - target) < FEWEST:
         return absent(
             f"{fewest:.0f} samples at a value are too few to show it", METHOD, evaluations
         )
-    there = special.ndtr(PchipInterpolator(places, _scores(probabilities, least))(centre))
+    there = special.ndtr(PchipInterpolator(places, _scores(probabilities, least[:, None]))(centre))
     error = spread(there)
     if counted and error == 0.0:
         error = spread(there, replicates / fewest)
     carriers_there = max(carrying[k - 1 : k + 1], default=math.inf)
     worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
-    sides = [_crossings(places, pooled, p, least)[0] for p in (low, high)]
+    sides = [_crossing(places, pooled, p, least) for p in (low, high)]
     if ends is not None:
-        sides = [centre, *(_crossings(places, end[:, None], target, least)[0] for end in ends[:2])]
+        first, last, *outer = (_crossing(places, end, target, least) for end in ends)
+        sides = [centre, first, last]
     # towards a value at which too few samples show it the curve is not known
-    shown = np.minimum(pooled, 1.0 - pooled) * samples
-    sides += [places[n] for n in (k - 1, k) if counted and shown[n, 0] < FEWEST]
+    shown = np.minimum(pooled, 1.0 - pooled) * behind
+    sides += [places[n] for n in (k - 1, k) if counted and shown[n] < FEWEST]
     # What the curve through every other point answers differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
     every = np.unique([*range(0, grid.size, 2), grid.size - 1])
-    other = _crossings(places[every], pooled[every], target, least[every])[0]
+    other = _crossing(places[every], pooled[every], target, least[every])
     between_points = np.nan_to_num(abs(other - centre)) / 4.0
     below, above = (
         distance + between_points
@@ -186,17 +185,13 @@ def _value(
             METHOD,
             evaluations,
         )
-    value, first, last = map(backward, (centre, centre - below, centre + above))
-    estimate = between(value, first, last, replicates, METHOD, evaluations)
+    value, low, high = map(backward, (centre, centre - below, centre + above))
+    estimate = between(value, low, high, replicates, METHOD, evaluations)
     if ends is None:
         return estimate
-    outer = [_crossings(places, end[:, None], target, least)[0] for end in ends[2:]]
     if pooled[-1] >= pooled[0]:
         outer.reverse()
     # open where the curve does not take it
-    low, high = np.nan_to_num(outer[0], nan=-math.inf), np.nan_to_num(outer[1], nan=math.inf)
-    return replace(
-        estimate,
-        low_unseen=float(backward(low - between_points)),
-        high_unseen=float(backward(high + between_points)),
-    )
+    outermost = np.where(np.isnan(outer), [-math.inf, math.inf], outer)
+    low, high = backward(outermost + [-between_points, between_points]).tolist()
+    return replace(estimate, low_unseen=low, high_unseen=high)
