@@ -193,5 +193,5 @@ def _value(
         outer.reverse()
     # open where the curve does not take it
     outermost = np.where(np.isnan(outer), [-math.inf, math.inf], outer)
-    low, high = backward(outermost + [-between_points, between_points]).tolist()
+    low, high = backward(np.add(outermost, [-between_points, between_points])).tolist()
     return replace(estimate, low_unseen=low, high_unseen=high)
