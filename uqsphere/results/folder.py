@@ -66,15 +66,11 @@ def locked(folder: Path) -> Iterator[None]:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         folder.mkdir(parents=True, exist_ok=True)
-        strange = sorted(
-            entry.name
-            for entry in folder.iterdir()
-            if entry.name not in OWN and not entry.name.startswith(PART)
-        )
+        strange = {name for name in os.listdir(folder) if not name.startswith(PART)} - OWN
         if strange:
             raise FolderError(
-                f"{as_text(folder)} contains {strange[0]!r}, which uqsphere did not write. Choose "
-                "another directory with --out"
+                f"{as_text(folder)} contains {min(strange)!r}, which uqsphere did not write. "
+                "Choose another directory with --out"
             )
         lock = FileLock(folder / ".lock", timeout=0)
         try:
@@ -143,7 +139,7 @@ def read_checked(folder: Path, name: str) -> bytes:
     """
     path = folder / name
     with _accessing(path):
-        if path.is_symlink() or not path.is_file():
+        if not _is_inside(folder, name):
             raise FolderError(f"{as_text(folder)} does not contain {name}")
         content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != sums_of(folder).get(name):
@@ -206,7 +202,7 @@ def damaged_files(folder: Path) -> list[str]:
     ]
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if not path.is_dir() and name not in sums and name not in UNLISTED:
+        if not path.is_dir() and name not in sums.keys() | UNLISTED:
             wrong.append(f"{name} (has no checksum)")
     return wrong
 

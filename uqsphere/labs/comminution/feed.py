@@ -148,8 +148,8 @@ def _sieves(
 def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int) -> Array:
     """Cumulative share broken (D, K, n + 1) of classes after 0 ... n equal blows of an energy (K,)
     [J/kg]."""
-    u = laws.thresholds(posterior.parameters["gamma"], blows)
-    return np.stack([posterior.broken(energy * u[:, [k]], sizes) for k in range(blows + 1)], axis=2)
+    steps = laws.thresholds(posterior.parameters["gamma"], blows).T[:, :, None]
+    return np.stack([posterior.broken(energy * step, sizes) for step in steps], axis=2)
 
 
 def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> dict[str, Any]:
@@ -167,9 +167,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     if not density:
         raise UsageError("material.density is required")
     classes = load_classes(feed.sizes, folder)
-    last = len(posterior.law) - 1
-    draws = min(DRAWS, last + 1)
-    posterior = posterior.at(np.linspace(0, last, draws).astype(int))
+    chosen = np.unique(np.linspace(0, len(posterior.law) - 1, DRAWS).astype(int))
+    posterior = posterior.at(chosen)
     rng = np.random.default_rng([asked.seed, 739])
     edges, mass, warnings = classes
     sizes = classes.sizes
@@ -189,8 +188,8 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     # the edges of the classes and fourteen finer sieves
     sieves = edges[0] * feed.sizes.ratio ** np.arange(-13.0 - len(edges), 1.0)
     # whole particles are uniform in the logarithm within a class, below the last sieve uniform
-    lower = classes.lower
-    unbroken = np.clip(np.log(sieves[:, None] / lower) / np.log(edges / lower), 0.0, 1.0)
+    above = np.log(sieves[:, None] / classes.lower) / np.log(edges / classes.lower)
+    unbroken = np.clip(above, 0.0, 1.0)
     unbroken[:, -1] = np.clip(sieves / edges[-1], 0.0, 1.0)
     before = unbroken @ mass
     spread = None
@@ -198,7 +197,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         fineness = laws.t10(offered, product.A, product.b)
         alpha: Any = product.alpha
         if isinstance(alpha, Lognormal):
-            alpha = rng.lognormal(alpha.log_mean, alpha.log_sd, (draws, 1, 1))
+            alpha = rng.lognormal(alpha.log_mean, alpha.log_sd, (len(chosen), 1, 1))
         # share of the fragments of a class that passes a sieve, (D or 1, S, K)
         curves = laws.t_n(sizes / sieves[None, :, None], fineness, product.curve, alpha)
         if feed.rebreak:  # shares of the fragments of a class that are of another one

@@ -330,8 +330,6 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
         chain, about[model.law] = sample(model, tests, rng, asked.draws)
         chains.append(chain)
     weights = special.softmax([law["loo"] for law in about.values()])
-    for law, weight in zip(about.values(), weights, strict=True):
-        law["weight"] = weight
     # the draws of all laws by their weights, in random order
     ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
     law_of = np.repeat(np.arange(len(models)), np.diff(ends, prepend=0))
@@ -339,8 +337,9 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
     order = rng.permutation(asked.draws)
     parameters: dict[str, Array] = {}
     for k, model in enumerate(models):
+        about[model.law]["weight"] = weights[k]
         places = np.flatnonzero(law_of == k)
-        rows = np.linspace(0, len(chains[k]) - 1, len(places)).astype(int)
+        rows = np.linspace(0, asked.draws - 1, len(places)).astype(int)
         for j, name in enumerate(model.priors):
             column = parameters.setdefault(name, np.full(asked.draws, np.nan))
             column[places] = np.exp(chains[k][rows, j])
