@@ -92,7 +92,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     shares = {}
     reached = dict[str, list[dict[str, Any]]]()
     for name, curve in curves.limits.items():
-        shares[name] = np.array(curve.curve)[:, 1:].tolist()
+        shares[name] = np.array(curve.curve)[:, 1:4].tolist()
         reached[name] = []
         for share, at in curve.values.items():
             value = None if at.value is None else (at.value, at.low, at.high)
