@@ -433,6 +433,8 @@ def test_channels_without_a_time_column(tmp_path: Path) -> None:
         "sampling rate 2000 KS/s",
         "Samplerate: 2000000\nMode: single",
         "# Sampling interval = 0.5 us",
+        "Sample time: .5 us",
+        "Sample time: 12.05.2024, 10:30\nSample rate: 2 MHz",
     ],
 )
 def test_metadata_have_the_clock_of_a_file_without_a_time(metadata: str, tmp_path: Path) -> None:

@@ -26,7 +26,8 @@ _LONG, _LOOKED_AT = 60, 200
 _METADATA = 40
 #: most bytes of a file
 _LARGEST = 1 << 28
-_NUMBER = r"\W*([\d.]+(?:e[+-]?\d+)?)"
+#: no part of a date, a time of day or another number
+_NUMBER = r"[^\w.]*((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)(?!\.?\d|:|e)"
 _RATE = re.compile(rf"sampl\w*[ _]*(?:rate|frequency){_NUMBER}\s*([kM](?=Hz|S)|)", re.IGNORECASE)
 _INTERVAL = re.compile(
     rf"sampl\w*[ _]*(?:interval|time|period){_NUMBER}\W*([a-zµ]*)", re.IGNORECASE
