@@ -1,7 +1,7 @@
 """A probability law: probabilities, quantiles, density and moments, exact in both tails.
 
 A truncated law is evaluated from whichever tail is the smaller one, so that a normal law cut off
-ten standard deviations out keeps all its digits.  Nothing imports scipy.stats.
+ten standard deviations out keeps all its digits.
 """
 
 import math

@@ -19,17 +19,10 @@ The streams of a study's seed, by the names of their tasks:
 """
 
 import hashlib
-from functools import cache, lru_cache
-from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uqsphere.arrays import Array
-
-Words = NDArray[np.uint64]
-#: digits of a point
-BITS = 52
 
 
 def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
@@ -80,58 +73,14 @@ def sobol_points(
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
-    bits = BITS
-    if dimension > len(_direction_numbers()):
-        from scipy.stats.qmc import Sobol
+    from scipy.stats.qmc import Sobol
 
-        if dimension >= 1000:
-            # the scrambling matrices of 52-bit points would fill the memory
-            bits = 30
-        sequence = Sobol(dimension, bits=bits, rng=random_generator(seed, task, replicate))
-        # SciPy warns of a first draw of other than a power of two
-        corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
-    else:
-        directions, points = _scrambled(dimension, seed, task, replicate)
-        # points 2^k to 2^(k + 1) are those before, mirrored, with one more direction (Gray code)
-        for direction in directions[: (start + count - 1).bit_length()]:
-            points = np.concatenate([points, points[::-1] ^ direction])
-        corners = points[: start + count] * 0.5**bits
+    bits = 52
+    if dimension >= 1000:
+        # the scrambling matrices of 52-bit points would fill the memory
+        bits = 30
+    rng = random_generator(seed=seed, task=task, replicate=replicate)
+    sequence = Sobol(dimension, bits=bits, rng=rng)
+    # SciPy warns of a first draw of other than a power of two
+    corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
     return corners[start:] + 0.5 ** (bits + 1)
-
-
-@lru_cache(maxsize=64)
-def _scrambled(dimension: int, seed: int, task: str, replicate: int) -> tuple[Words, Words]:
-    """Directions (BITS, d) of one randomisation and its first point (1, d), drawn as SciPy's
-    `qmc.Sobol` does, whose package takes 0.7 s to load.
-    """
-    rng = np.random.default_rng(_seed(seed, task, replicate).spawn(1)[0])
-    powers = np.uint64(1) << np.arange(BITS, dtype=np.uint64)
-    shift = rng.integers(2, size=(dimension, BITS), dtype=np.uint64) @ powers
-    below = np.tril(rng.integers(2, size=(dimension, BITS, BITS), dtype=np.uint64), -1)
-    numbers = np.array([_continued(*numbers) for numbers in _direction_numbers()[:dimension]])
-    # the digits of the directions, the highest first, times the matrices modulo two
-    digits = (numbers[:, None, :] & powers[::-1, None]) > 0
-    scrambled = ((below + np.eye(BITS)) @ digits % 2.0).astype(np.uint64)
-    return np.einsum("dpj,p->jd", scrambled, powers[::-1]), shift[None]
-
-
-def _continued(polynomial: int, *first: int) -> Words:
-    """Direction numbers (BITS,) of one dimension, by the recurrence of its polynomial."""
-    degree = polynomial.bit_length() - 1
-    numbers = list(first)
-    for j in range(degree, BITS):
-        new = numbers[j - degree]
-        for k in range(1, degree + 1):
-            if polynomial >> (degree - k) & 1:
-                new ^= numbers[j - k] << k
-        numbers.append(new)
-    return np.array(numbers[:BITS], np.uint64) << np.arange(BITS, dtype=np.uint64)[::-1]
-
-
-@cache
-def _direction_numbers() -> list[list[int]]:
-    """Polynomial and first direction numbers of every dimension."""
-    text = resources.files("uqsphere.uq").joinpath("sobol.txt").read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
-    # the first dimension has numbers that are all 1
-    return [[1, *[1] * 64], *([int(word) for word in line.split()] for line in lines)]
