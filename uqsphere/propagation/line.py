@@ -155,15 +155,15 @@ def ends_by_rows(
         expected.append(np.var(predicted, axis=0).mean())
     _, *inner = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
     middle = means.mean(axis=1)
-    away = np.maximum(np.subtract(inner, middle) * np.array([[-1.0], [1.0]]), 0.0)
+    sides = np.array([[-1.0], [1.0]])
+    away = np.maximum(sides * np.subtract(inner, middle), 0.0)
     if compared.folds:
         by_folds = [
             state_of(design, limit, fold).tails()[0].mean(axis=1) for fold in compared.folds
         ]
         away = np.hypot(away, fold_spread(np.transpose(by_folds)))
-    unseen = count_bound(compared.sample.count)
-    ends = np.array([middle - away[0], middle + away[1]])
-    return np.clip([*ends, ends[0] - unseen, ends[1] + unseen], 0.0, 1.0)
+    ends = middle + sides * away
+    return np.clip([*ends, *(ends + sides * count_bound(compared.sample.count))], 0.0, 1.0)
 
 
 def exceedance(state: LimitState, survive: bool) -> Array:
