@@ -299,9 +299,11 @@ class Curves:
         """The mean exceedance (K,) of a limit with the other failure modes."""
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
-    def unsafe_above(self, curve: Array) -> bool:
-        """Whether larger values of the free number are the unsafe ones, by a curve (K,)."""
-        return bool((curve[-1] >= curve[0]) == self.aim.survive)
+    @cached_property
+    def unsafe_above(self) -> bool:
+        """Whether larger values of the free number are the unsafe ones, for all limits together."""
+        exceeded = np.sum([self.base(limit)[0] for limit in self.aim.limits], axis=(0, 2))
+        return bool((exceeded[-1] >= exceeded[0]) == self.aim.survive)
 
     def margin(self, limit: Limit, curve: Array) -> float | None:
         """The value of the free number at which a curve (K,) of a limit misses its target, seen
@@ -318,7 +320,7 @@ class Curves:
         if not missed.size:
             return math.inf
         k = missed[-1] + 1
-        if self.unsafe_above(curve):
+        if self.unsafe_above:
             k = missed[0]
         if k in (0, len(curve)):
             return None
@@ -406,7 +408,7 @@ class Curves:
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
         from_unsafe = slice(None)
-        if self.unsafe_above(means):
+        if self.unsafe_above:
             from_unsafe = slice(None, None, -1)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
 

@@ -299,7 +299,10 @@ class DecisionText:
             name = capital(plain_name(decision.blocked_by))
             allowed = decision.target or 0.0
             if any(point.value is not None and point.value < allowed for point in decision.curve):
-                return f"Too few model runs to tell where {name} keeps its target."
+                return (
+                    f"{name} misses its target at the safe end, or too few model runs tell where "
+                    "it keeps it."
+                )
             if decision.aim == "break":
                 return f"{name} does not reach its target anywhere between {self._ends}."
             return f"{name} exceeds its target everywhere between {self._ends}."
