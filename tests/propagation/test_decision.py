@@ -15,6 +15,7 @@ from scipy import stats
 
 import uqsphere
 from uqsphere import Study
+from uqsphere.errors import TooManyFailures
 from uqsphere.models.model import Model
 from uqsphere.propagation import promise
 from uqsphere.propagation import verdict as verdicts
@@ -641,6 +642,44 @@ def test_limits_that_do_not_add_up_are_judged_each_by_itself() -> None:
     text = summary(results)
     assert "each by itself, to survive" in text
     assert "all together" not in text
+
+
+def test_limits_that_pull_in_opposite_directions_leave_no_number() -> None:
+    strengths = {"y": 3.0, "z": -1.0}
+    limits = {name: limit("survive", 0.05, s, quantity=name) for name, s in strengths.items()}
+    study = Study(
+        inputs={"load": LOAD}, outputs=["y", "z"], limits=limits, margins=MARGINS, analysis=LOOSE
+    )
+
+    def opposed(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": x["load"], "z": -x["load"]}
+
+    (decision,) = uqsphere.run(study, opposed).results.decisions
+    assert decision.use is None
+
+
+@pytest.mark.parametrize("runs", [400, 10**6])
+def test_rows_that_all_fail_at_a_value_of_the_free_number_are_no_survivors(runs: int) -> None:
+    scattered = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    study = Study(
+        inputs={"v": 2.0, "a": scattered},
+        outputs="y",
+        limits={"high": limit("survive", 0.05, 50.0)},
+        margins={"solve": "v", "between": [0.5, 4.0]},
+        analysis={"on_failure": 0.15, "budget": {"evaluations": runs}},
+    )
+
+    def gap(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        y = 10.0 + 7.0 * x["v"] + 2.0 * x["a"]
+        return {"y": np.where((x["v"] > 1.3) & (x["v"] < 1.54), np.nan, y)}
+
+    if runs > 400:
+        with pytest.raises(TooManyFailures, match="of the free number"):
+            uqsphere.run(study, gap)
+        return
+    results = uqsphere.run(study, gap).results
+    assert results.decisions[0].use is None
+    assert "whole range" not in summary(results)
 
 
 @pytest.mark.parametrize("why", ["failed", "leaves"])

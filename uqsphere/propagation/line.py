@@ -25,7 +25,7 @@ from uqsphere.uq.estimate import count_bound, fold_spread
 from .design import Design
 from .free_number import demand_factor, grid, moved, shares_of
 from .limits import state_of
-from .tables import Compared, Tables, answered, evaluate, input_rows, with_number
+from .tables import Compared, Tables, answered, check_failures, evaluate, input_rows, with_number
 
 #: points of a replicate, where every value of the free number has the same rows
 _SHARED = 1024
@@ -223,6 +223,7 @@ def evaluated_at(
     end = 0
     for value, part in parts.items():
         added = rows.where(slice(end, end + part.count))
+        check_failures(design, added.status.ravel(), f"at {value:g} of the free number")
         end += part.count
         if value in before:
             added = before[value].join(added)

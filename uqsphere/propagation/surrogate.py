@@ -327,7 +327,10 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     if not good.all():
         # the curve would be that of the rows that answered
         counted = design.study.analysis.policy == "bound"
-        if counted or good.sum() < LEAST_ROWS or lie_apart(places[~good], places[good]):
+        near = math.isqrt(count)
+        along = good[np.argsort(values)]
+        gap = np.convolve(along, np.ones(near), "valid").min() < 0.5 * near
+        if counted or gap or good.sum() < LEAST_ROWS or lie_apart(places[~good], places[good]):
             lost = f"{(~good).sum()} of {count} model runs there failed"
             return replace(tables, without_line=lost)
     fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
