@@ -45,11 +45,6 @@ class Settled(Curves):
             doubts += self.contacts_yield(limit, others)
         return doubts
 
-    @cached_property
-    def safe_above(self) -> bool:
-        """Whether larger values are safe: "use at least"."""
-        return not self.unsafe_above
-
     @property
     def ends(self) -> tuple[float, float]:
         """The safe and the unsafe end of the line."""

@@ -300,10 +300,10 @@ class Curves:
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
     @cached_property
-    def unsafe_above(self) -> bool:
-        """Whether larger values of the free number are the unsafe ones, for all limits together."""
+    def safe_above(self) -> bool:
+        """Whether larger values are safe, for all limits together: "use at least"."""
         exceeded = np.sum([self.base(limit)[0] for limit in self.aim.limits], axis=(0, 2))
-        return bool((exceeded[-1] >= exceeded[0]) == self.aim.survive)
+        return bool((exceeded[-1] >= exceeded[0]) != self.aim.survive)
 
     def margin(self, limit: Limit, curve: Array) -> float | None:
         """The value of the free number at which a curve (K,) of a limit misses its target, seen
@@ -319,9 +319,9 @@ class Curves:
         missed = np.flatnonzero(limit.missed(curve) > limit.target)
         if not missed.size:
             return math.inf
-        k = missed[-1] + 1
-        if self.unsafe_above:
-            k = missed[0]
+        k = missed[0]
+        if self.safe_above:
+            k = missed[-1] + 1
         if k in (0, len(curve)):
             return None
         excess = self.line.interpolated(score(curve) - score(limit.allowable))
@@ -407,9 +407,9 @@ class Curves:
         survive = self.aim.survive
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
-        from_unsafe = slice(None)
-        if self.unsafe_above:
-            from_unsafe = slice(None, None, -1)
+        from_unsafe = slice(None, None, -1)
+        if self.safe_above:
+            from_unsafe = slice(None)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
 
     def _carrying(self, limit: Limit) -> list[list[float]]:

@@ -37,20 +37,16 @@ def fragility(tables: Tables) -> Rows:
     if margins is None:
         return
     unit = lookup(design.free_quantity).unit
-    if margins.limit is None and not tables.line:
-        unknown = absent(tables.without_line, METHOD, tables.runs)
-        for limit in design.judged.limits:
-            subject = design.subject(limit)
-            yield estimate_row(
-                subject, "margin", unknown, limit.allowable, unit=unit, runs=tables.runs
-            )
-        return
     # those of the sample where the line moves no row
     along = sum(sample.size for sample in tables.line.values())
     runs = tables.predicted_from or along or tables.runs
     planned = design.planned
     for limit in design.judged.limits:
         subject = design.subject(limit)
+        if margins.limit is None and not tables.line:
+            unknown = absent(tables.without_line, METHOD, runs)
+            yield estimate_row(subject, "margin", unknown, limit.allowable, unit=unit, runs=runs)
+            continue
         fitted = curve_of(tables, limit)
         for *row, low_unseen, high_unseen in fitted.curve:
             yield number_row(
