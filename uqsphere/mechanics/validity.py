@@ -149,9 +149,6 @@ class Measures(dict[str, Values]):
     def _partner_estimate(self) -> str:
         return self._static_estimate(self.partner)
 
-    def _sphere_estimate(self) -> str:
-        return self._static_estimate(self.sphere)
-
     def _static_estimate(self, body: ContactParameters) -> str:
         """Pressure and indentation, by statics, of a body that was taken as elastic."""
         scales = self.scene.scales
@@ -354,7 +351,7 @@ def _extreme(choose: np.ufunc, numbers: Sequence[Array]) -> Values | None:
 #: method of `Measures` that gives the end of the sentence on a breach
 ADVICE = {
     "bar_yield_contact": Measures._partner_estimate,
-    "sphere_yield_contact": Measures._sphere_estimate,
+    "sphere_yield_contact": lambda self: self._static_estimate(self.sphere),
     "dented": Measures._dents,
     "face_yield": Measures._partner_estimate,
 }

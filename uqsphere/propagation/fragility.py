@@ -61,7 +61,7 @@ def fragility(tables: Tables) -> Rows:
         for p, estimate in fitted.values.items():
             yield estimate_row(subject, "margin", estimate, p, unit=unit, runs=runs)
         allowed = fitted.values[limit.allowable]
-        if not allowed.value or not planned or not limit.has_target:
+        if min(allowed.value or 0.0, planned or 0.0) <= 0.0 or not limit.has_target:
             continue
         # the free number over its planned value, or the inverse for a limit that must break
         values = np.array([allowed.value, allowed.low, allowed.high], dtype=float)

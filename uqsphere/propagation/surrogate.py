@@ -184,8 +184,7 @@ def tables_of(
         compared = Compared(sample=_compared(slow.rows, [*slow.responses.values()]))
     tables: Tables = replace(slow, compared=compared)
     if not along:
-        given = "rows that are given do not vary the free number"
-        tables = replace(tables, without_line=given)
+        tables = replace(tables, without_line="rows that are given do not vary the free number")
     most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:

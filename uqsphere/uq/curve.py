@@ -78,7 +78,7 @@ def fragility(
                 int(behind.sum()),
             )
         else:
-            values[target] = _value(grid, probabilities, target, behind, carrying, ends)
+            values[target] = _value(grid, probabilities, target, behind, carried, ends)
     return Fragility(curve=curve, values=values)
 
 
@@ -159,7 +159,7 @@ def _value(
     error = spread(there)
     if counted and error == 0.0:
         error = spread(there, replicates / fewest)
-    carriers_there = max(carrying[k - 1 : k + 1], default=math.inf)
+    carriers_there = max(carrying[k - 1 : k + 1])
     worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
     sides = [_crossing(places, pooled, p, least) for p in (low, high)]
