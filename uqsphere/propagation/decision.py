@@ -123,8 +123,10 @@ class Settled(Curves):
         return value <= margin
 
     def once_gone(self, doubt: Doubt) -> float | None:
-        """The number once a doubt is gone: the failure mode, or a limit that leaves no number, left
-        out; else by the other doubts, but for contacts that yield with the same strengths.
+        """The number once a doubt is gone.
+
+        A failure mode, or a limit that leaves no number, is left out; otherwise the doubt is, and
+        with it that of yielding contacts by the same strengths.
         """
         several = len(self.aim.limits) > 1
         if doubt.code == "assumed strength" or (self.number is None and several):
@@ -151,7 +153,7 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
         number = settled.number
         line = settled.line
         neighbours = 1
-        if number is None:  # more rows may show less to be possible than too few of them leave
+        if number is None:  # too few rows leave much possible that more of them would rule out
             number = settled.best_estimate
             neighbours = 2
         if number is None or number == math.inf:

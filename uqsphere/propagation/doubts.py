@@ -207,8 +207,8 @@ class Others:
     """The failure modes beside a limit, at each row.
 
     none : probability (R, N) that none of them is exceeded
-    shift, scale : what the normal score of the limit's exceedance is less, and divided by, where
-        they hold: of a strength that depends on theirs
+    shift, scale : of a strength that depends on theirs: given that they hold, the normal score of
+        the limit's exceedance is reduced by the shift and divided by the scale
     """
 
     none: Array | float = 1.0
@@ -446,8 +446,9 @@ class Curves:
     def otherwise(self, alternative: Alternative) -> Doubt:
         """A limit with an alternative, at the unsafe end of what its strengths give.
 
-        Many strengths are asked on few rows; what all rows add to the normal score by the strength
-        that stands at the unsafe end near the target is added to the curve.
+        The quantiles of many strengths are taken on few rows. One strength, the one at the unsafe
+        end near the target, is taken on all rows as well: the difference of its normal scores
+        corrects the curve.
         """
         limit = alternative.limit
         laws = alternative.laws
@@ -496,7 +497,7 @@ class Curves:
         counted = self._counted(limit)
 
         def scores(line: Line, probability: Array) -> Array:
-            if counted:  # rows that fail or not: none of them is not never
+            if counted:  # no failure among so many rows does not mean never
                 probability = line.seen(probability)
             return score(probability)
 
@@ -508,8 +509,8 @@ class Curves:
         change = scores(self.line, every) - scores(self.few.line, few)
         quantiles = np.quantile(means, end, axis=1)
         moved = special.ndtr(scores(self.few.line, quantiles) + change)
-        # far out a difference of scores is no small one: the difference of the probabilities counts
-        # where it moves less
+        # far out in a tail a difference of scores is a large factor: the difference of the
+        # probabilities is taken where it moves the curve less
         added = np.clip(quantiles + every - few, 0.0, 1.0)
         milder = np.abs(added - quantiles) < np.abs(moved - quantiles)
         moved = np.where(milder, added, moved)

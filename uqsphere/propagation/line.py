@@ -1,4 +1,4 @@
-"""Rows along the free number, by either contact law: what every doubt of a decision is asked on.
+"""Rows along the free number, by either contact law: every doubt of a decision is evaluated on them.
 
 The same points serve every value, so that a curve is smooth; each replicate has its own curve, and
 their spread is the error.
@@ -133,11 +133,10 @@ def ends_by_rows(
     design: Design, compared: Compared, limit: Limit, values: Sequence[float], means: Array
 ) -> Array:
     """Ends (4, K) of the mean exceedance (K, R) of a limit that is predicted at values of the free
-    number: of the intervals, and of those with what no row shows.
+    number: of its interval, and of a wider one that allows for what no row shows.
 
-    They are by the rows of the model that are nearest to each value, the square root of their
-    number, which lets an average follow the curve while its noise falls; and by what the expansions
-    disagree by.
+    Each end rests on the sqrt(n) rows of the model that are nearest to the value, so that averages
+    follow the curve while their noise falls, and on how much the expansions disagree.
     """
     margins = design.study.margins
     assert margins is not None
@@ -167,8 +166,10 @@ def ends_by_rows(
 
 
 def exceedance(state: LimitState, survive: bool) -> Array:
-    """Probability (R, N) of exceedance given the inputs; a row that is not known to the end counts
-    for the unsafe side, and one that failed is nan, or counts so as well.
+    """Probability (R, N) of exceedance given the inputs.
+
+    A row whose record ends too early counts for the unsafe side; one that failed is nan, or counts
+    for the unsafe side where the study bounds failed rows.
     """
     lost = math.nan
     if state.on_failure == "bound":
@@ -201,8 +202,8 @@ def line_of(tables: Tables) -> Line | None:
 def evaluated_at(
     design: Design, model: Model, before: Mapping[float, Sample], counts: Mapping[float, int]
 ) -> Mapping[float, Sample]:
-    """Rows at values of the free number, at least so many of a replicate at some, those that are
-    there continued; all in one evaluation.
+    """Rows at values of the free number, with at least `counts` of a replicate at some of them;
+    rows that exist are continued.  All are evaluated at once.
     """
     margins = design.study.margins
     parts = {}

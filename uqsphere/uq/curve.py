@@ -126,9 +126,11 @@ def _value(
     carrying: Sequence[float],
     ends: Array | None,
 ) -> Estimate:
-    """Value at the target: the ends are where the curve takes those of the probability there, which
-    has the spread of the replicates (Woodruff 1952), or where given ends take the target, and the
-    error of interpolation.
+    """Value at the target.
+
+    Its ends are where the curve crosses the interval of the probability there, by the spread of the
+    replicates (Woodruff 1952), or where the given ends cross the target; the error of interpolation
+    is added.
     """
     from scipy.interpolate import PchipInterpolator
 
