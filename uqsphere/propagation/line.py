@@ -1,4 +1,4 @@
-"""Rows along the free number, by either contact law: every doubt of a decision is evaluated on them.
+"""Rows along the free number, by either contact law, on which every doubt of a decision rests.
 
 The same points serve every value, so that a curve is smooth; each replicate has its own curve, and
 their spread is the error.
