@@ -23,7 +23,6 @@ from .tracked import (
     KINDS,
     LANES,
     MASSLESS,
-    MEAN,
     ORDER,
     PAIR,
     POINTS,
@@ -33,12 +32,15 @@ from .tracked import (
     End,
 )
 
-#: Runge-Kutta steps over a touch
+#: Runge-Kutta steps over a touch; its stages: shares of a step, and their weights
 _TOUCH_STEPS = 4
+_STAGES = ((0.0, 1.0 / 6.0), (0.5, 1.0 / 3.0), (0.5, 1.0 / 3.0), (1.0, 1.0 / 6.0))
 #: change of a place, as a share of the trial step, below which a search is over
 _SETTLED = 1e-8
 #: steps of Newton's method to a peak at most
 _STEPS_TO_PEAK = 4
+#: kind of what is followed that is the rate of the approach of A; that of B is the next one
+RATE = KINDS
 
 
 # --- one root, one turn, one passage, one peak
@@ -54,14 +56,14 @@ def value_of(series, m, theta):
 
 
 @compiled
-def approach_of(s, m, theta):
-    """Approach of a face inside the step, and its derivative by theta."""
-    x = s.x[ORDER, m]
+def rise_of(series, m, theta):
+    """Value of a column of a series inside a step, and its derivative by theta."""
+    value = series[ORDER, m]
     rate = 0.0
     for k in range(ORDER - 1, -1, -1):
-        rate = rate * theta + x
-        x = x * theta + s.x[k, m]
-    return x, rate
+        rate = rate * theta + value
+        value = value * theta + series[k, m]
+    return value, rate
 
 
 @compiled
@@ -82,7 +84,7 @@ def _both(s, j, kind, at_a, at_b):
     b = LANES + j
     weight_a = 1.0
     weight_b = 1.0
-    if kind >= ENERGY and kind != MEAN:
+    if kind in (ENERGY, SHARE):
         value_a, slope_a = stored_energy(s, j, x_a)
         value_b, slope_b = stored_energy(s, b, x_b)
         if kind == SHARE:
@@ -102,10 +104,12 @@ def _both(s, j, kind, at_a, at_b):
 
 @compiled
 def _measure(s, j, kind, theta):
-    """Value and derivative of one of the functions that are followed inside the step."""
+    """Value and derivative of what is followed inside the step, or of the rate of an approach."""
     if kind <= FACE_B:
-        return approach_of(s, kind * LANES + j, theta)
-    return _both(s, j, kind, approach_of(s, j, theta), approach_of(s, LANES + j, theta))
+        return rise_of(s.x, kind * LANES + j, theta)
+    if kind >= RATE:
+        return _bend_of(s, (kind - RATE) * LANES + j, theta)
+    return _both(s, j, kind, rise_of(s.x, j, theta), rise_of(s.x, LANES + j, theta))
 
 
 @compiled
@@ -120,22 +124,19 @@ def highest_between(left, left_slope, right, right_slope):
 
 
 @compiled
-def root(s, m, level, sign, a, b):
-    """theta between a and b at which sign (approach - level) rises through 0, by Newton's
-    method.
-    """
+def root(s, j, kind, level, sign, a, b):
+    """theta between a and b at which sign (value - level) rises through 0, by Newton's method."""
     theta = b
     for _ in range(60):
-        x, rate = approach_of(s, m, theta)
-        off = sign * (x - level)
-        slope = sign * rate
+        value, slope = _measure(s, j, kind, theta)
+        off = sign * (value - level)
         if off == 0.0:
             break
         if off > 0.0:
             b = theta
         else:
             a = theta
-        following = theta - off / slope
+        following = theta - off / (sign * slope)
         if not a <= following <= b:
             following = 0.5 * (a + b)
         change = abs(following - theta)
@@ -171,30 +172,30 @@ def turn(s, j, kind, begin, end):
 
 
 @compiled
-def passage(s, m, level, sign, begin, end):
-    """First theta from `begin` to `end` at which sign (approach - level) >= 0, or inf."""
+def passage(s, j, kind, level, sign, begin, end):
+    """First theta from `begin` to `end` at which sign (value - level) >= 0, or inf."""
     width = (end - begin) / POINTS
     left = 0.0
     left_slope = 0.0
     for i in range(POINTS + 1):
         b = begin + i * width if i < POINTS else end
-        x, rate = approach_of(s, m, b)
-        right = sign * (x - level)
-        right_slope = sign * rate * width
+        value, slope = _measure(s, j, kind, b)
+        right = sign * (value - level)
+        right_slope = sign * slope * width
         a = b - width
         if right >= 0.0:
             if i == 0:
                 return begin
-            return root(s, m, level, sign, a, b)
+            return root(s, j, kind, level, sign, a, b)
         if (
             i > 0
             and left_slope > 0.0 > right_slope
             and highest_between(left, left_slope, right, right_slope) >= 0.0
         ):
-            top = turn(s, m % LANES, m // LANES, (a, sign * left_slope), (b, sign * right_slope))
-            x, _ = approach_of(s, m, top)
-            if sign * (x - level) >= 0.0:
-                return root(s, m, level, sign, a, top)
+            top = turn(s, j, kind, (a, sign * left_slope), (b, sign * right_slope))
+            value, _ = _measure(s, j, kind, top)
+            if sign * (value - level) >= 0.0:
+                return root(s, j, kind, level, sign, a, top)
         left = right
         left_slope = right_slope
     return math.inf
@@ -242,7 +243,7 @@ def _deepest(s, j, m, end, deepest):
             step = -0.5 * rate / bend
             if not (bend < 0.0 and begin < theta + step < begin + width):
                 theta = turn(s, j, m // LANES, (begin, left_slope), (i * width, right_slope))
-                peak, _ = approach_of(s, m, theta)
+                peak = value_of(s.x, m, theta)
                 break
             theta += step
             peak += 0.5 * rate * step
@@ -299,23 +300,23 @@ def _first_event(s, j):
         at = math.inf
         if s.x[0, m] > 0.0:
             if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
-                _note_graze(s, j, m, ends)
-                at = passage(s, m, 0.0, -1.0, 0.0, ends)
+                _note_graze(s, j, face, ends)
+                at = passage(s, j, face, 0.0, -1.0, 0.0, ends)
         elif (s.x[0, m] < 0.0 or s.x[1, m] < 0.0) and s.top[m] > 0.0:
             # a face that left at the start of this step is clear of zero a little later
             clear = 0.0
             if s.x[0, m] == 0.0:
                 clear = 1e-3 * ends
-            at = passage(s, m, 0.0, 1.0, clear, ends)
+            at = passage(s, j, face, 0.0, 1.0, clear, ends)
         if at <= ends:
             ends = at
             lane.why = End.CONTACT
             lane.side = face
         if s.has_laws and not lane.touching:
             if s.spring[m] == 0.0:
-                at = _virgin_end(s, m, ends)
+                at = _virgin_end(s, j, face, ends)
             else:
-                at = _spring_end(s, m, ends)
+                at = _spring_end(s, j, face, ends)
             if at < ends or (at == ends and lane.why == End.SERIES):
                 ends = at
                 lane.why = End.BRANCH
@@ -327,61 +328,38 @@ def _first_event(s, j):
 
 
 @compiled
-def _spring_end(s, m, end):
+def _spring_end(s, j, face, end):
     """theta at which a spring is at its largest approach so far again, or inf."""
+    m = face * LANES + j
     largest = s.largest[m] - s.dent[m]
     if s.top[m] < largest * (1.0 - ARMED):
         return math.inf
     if s.x[0, m] < largest * (1.0 - ARMED):
-        return passage(s, m, largest, 1.0, 0.0, end)
+        return passage(s, j, face, largest, 1.0, 0.0, end)
     # from its largest approach a spring goes down; after a shallow turn it may come up through it
     # again within the step
     width = end / POINTS
     for i in range(1, POINTS + 1):
-        above, above_rate = approach_of(s, m, i * width)
+        theta = i * width
+        above, above_rate = rise_of(s.x, m, theta)
         if above > largest * (1.0 + ARMED):
             # where it turns the slope is zero but for rounding
             begin = max(i - 1.0, 1e-3) * width
-            x, rate = approach_of(s, m, begin)
+            _, rate = rise_of(s.x, m, begin)
             if rate < 0.0:
-                begin = turn(s, m % LANES, m // LANES, (begin, rate), (i * width, above_rate))
-                x, rate = approach_of(s, m, begin)
-            if x >= largest:
-                return begin
-            return root(s, m, largest, 1.0, begin, i * width)
+                begin = turn(s, j, face, (begin, rate), (theta, above_rate))
+            return passage(s, j, face, largest, 1.0, begin, theta)
     return math.inf
 
 
 @compiled
-def _virgin_end(s, m, end):
+def _virgin_end(s, j, face, end):
     """theta at which a face on virgin loading turns, or inf."""
-    width = end / POINTS
-    left = s.x[1, m]
-    bow_left = 2.0 * s.x[2, m]
-    for i in range(1, POINTS + 1):
-        begin = (i - 1) * width
-        theta = i * width
-        right, bow = _bend_of(s, m, theta)
-        if left > 0.0:
-            if right > 0.0 and bow_left < 0.0 < bow:
-                # a fall that may be over before the next point: where the rate is least
-                low = begin
-                high = theta
-                for _ in range(30):
-                    if highest_between(-left, -bow_left * width, -right, -bow * width) <= 0.0:
-                        break
-                    middle = 0.5 * (low + high)
-                    rate, bend = _bend_of(s, m, middle)
-                    if rate <= 0.0:
-                        return turn(s, m % LANES, m // LANES, (begin, left), (middle, rate))
-                    if bend < 0.0:
-                        low = middle
-                    else:
-                        high = middle
-            if right <= 0.0:
-                return turn(s, m % LANES, m // LANES, (begin, left), (theta, right))
-        left = right
-        bow_left = bow
+    for i in range(POINTS):
+        begin = i * end / POINTS
+        rate, _ = _bend_of(s, face * LANES + j, begin)
+        if rate > 0.0:  # where the loading begins the rate may be zero but for rounding
+            return passage(s, j, RATE + face, 0.0, -1.0, begin, end)
     return math.inf
 
 
@@ -404,13 +382,13 @@ def _note_loss(s, j, ends):
 
 
 @compiled
-def _note_graze(s, j, m, ends):
+def _note_graze(s, j, face, ends):
     """When the approach of a face first comes so near to zero, before any loss, that its error may
     decide on one.
     """
     lane = s.lane[j]
     if s.wanted & tracked.TO_THE_END and math.isnan(lane.lost) and math.isnan(lane.grazed):
-        at = passage(s, m, lane.faint, -1.0, 0.0, ends)
+        at = passage(s, j, face, lane.faint, -1.0, 0.0, ends)
         if at < math.inf:
             lane.grazed = lane.time + s.h[j] * at
 
@@ -423,8 +401,8 @@ def _both_below(s, j, level, end):
     at = 0.0
     for _ in range(8 * POINTS):
         before = at
-        for m in range(j, PAIR, LANES):
-            at = passage(s, m, level, -1.0, at, end)
+        for face in range(2):
+            at = passage(s, j, face, level, -1.0, at, end)
             if at == math.inf:
                 return at
         if at == before:
@@ -444,7 +422,7 @@ def after_step(s, j):
     if ends < s.theta[j]:
         for i in range(POINTS + 1):
             for m in range(j, PAIR, LANES):
-                s.at[i, m], s.rate[i, m] = approach_of(s, m, ends * i / POINTS)
+                s.at[i, m], s.rate[i, m] = rise_of(s.x, m, ends * i / POINTS)
     _note_approaches(s, j, ends)
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
@@ -534,7 +512,7 @@ def _note_impulse(s, j, theta):
     if lane.touching or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):
-                x, _ = approach_of(s, m, theta * _NODES[i] * _NODES[i])
+                x = value_of(s.x, m, theta * _NODES[i] * _NODES[i])
                 force, _ = face_force(s, m, x)
                 impulse += _WEIGHTS[i] * _NODES[i] * force
     else:
@@ -596,7 +574,7 @@ def first_at(s, j, made, level):
                 height = approach_at(s, m, level) - kept.dent[face]
             for k in range(TERMS):
                 s.x[k, m] = kept.path[face, k]
-            best = min(best, passage(s, m, height, 1.0, 0.0, end))
+            best = min(best, passage(s, j, face, height, 1.0, 0.0, end))
         if best < math.inf:
             return kept.began + best * kept.unit
     return math.nan
@@ -659,13 +637,8 @@ def step_from_touch(s, j):
         s.at_touch[v] = h * s.slope[v]
     for i in range(_TOUCH_STEPS):
         for v in range(5):
-            s.mean[v] = s.slope[v] / 6.0
-        for stage in range(1, 4):
-            share = 0.5
-            weight = 1.0 / 3.0
-            if stage == 3:
-                share = 1.0
-                weight = 1.0 / 6.0
+            s.mean[v] = 0.0
+        for share, weight in _STAGES:
             for v in range(5):
                 s.trial[v] = s.now[v] + share * part * h * s.slope[v]
             _slopes(s, j, (i + share) * part)
@@ -674,7 +647,7 @@ def step_from_touch(s, j):
         for v in range(5):
             s.now[v] += part * h * s.mean[v]
             s.trial[v] = s.now[v]
-        _slopes(s, j, (i + 1.0) * part)
+    _slopes(s, j, 1.0)
     for face in range(2):
         m = face * LANES + j
         _join(s.x, m, s.at_touch[face], s.now[face], h * s.slope[face])

@@ -160,26 +160,22 @@ def reach(s):
     beyond the circle in which the series holds, and its radius follows from how they grow over four
     powers.
     """
-    o = ORDER
-    p = ORDER - 1
-    n = ORDER - 4
-    r = ORDER - 5
-    for a in range(LANES):
-        b = LANES + a
-        before_a = abs(s.x[p, a])
-        before_b = abs(s.x[p, b])
-        last_a = abs(s.x[o, a])
-        last_b = abs(s.x[o, b])
-        x_a = s.size[a]
-        x_b = s.size[b]
-        u = s.u_size[a]
-        v_a = s.free_size[a]
-        v_b = s.free_size[b]
-        before = max(max(before_a / x_a, before_b / x_b), abs(s.u[p, a]) / u)
-        before = max(before, max(abs(s.free[p, a]) / v_a, abs(s.free[p, b]) / v_b))
-        last = max(max(last_a / x_a, last_b / x_b), abs(s.u[o, a]) / u)
-        last = max(last, max(abs(s.free[o, a]) / v_a, abs(s.free[o, b]) / v_b))
-        error = s.error[a]
+    for j in range(LANES):
+        error = s.error[j]
+        before = abs(s.u[ORDER - 1, j]) / s.u_size[j]
+        last = abs(s.u[ORDER, j]) / s.u_size[j]
+        circle = math.inf
+        for face in range(2):
+            c = face * LANES + j
+            early = max(abs(s.x[ORDER - 5, c]), abs(s.x[ORDER - 4, c]))
+            x_before = abs(s.x[ORDER - 1, c])
+            x_last = abs(s.x[ORDER, c])
+            late = max(x_before, x_last)
+            holds = _CIRCLE * math.sqrt(math.sqrt(early / (late + 1e-300)))
+            circle = min(circle, holds) if late > 1e-3 * error * s.size[c] else circle
+            free = s.free_size[c]
+            before = max(before, max(x_before / s.size[c], abs(s.free[ORDER - 1, c]) / free))
+            last = max(last, max(x_last / s.size[c], abs(s.free[ORDER, c]) / free))
         # theta^15 before + theta^16 last = error, by one step of a fixed-point iteration
         t = math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (before + last + 1e-300)))))
         t = min(t, 8.0)
@@ -187,16 +183,9 @@ def reach(s):
         t_15 = t_4 * t_4 * t_4 * (t * t * t)
         sum_15 = t_15 * (before + t * last)
         t *= math.sqrt(math.sqrt(math.sqrt(math.sqrt(error / (sum_15 + 1e-300)))))
-        late_a = max(before_a, last_a)
-        late_b = max(before_b, last_b)
-        early_a = max(abs(s.x[r, a]), abs(s.x[n, a]))
-        early_b = max(abs(s.x[r, b]), abs(s.x[n, b]))
-        circle_a = _CIRCLE * math.sqrt(math.sqrt(early_a / (late_a + 1e-300)))
-        circle_b = _CIRCLE * math.sqrt(math.sqrt(early_b / (late_b + 1e-300)))
-        t = min(t, circle_a) if late_a > 1e-3 * error * x_a else t
-        t = min(t, circle_b) if late_b > 1e-3 * error * x_b else t
+        t = min(t, circle)
         # a series that has overflowed says nothing, except that the step was far too long
-        s.theta[a] = t if before + last < 1e200 else 0.0
+        s.theta[j] = t if before + last < 1e200 else 0.0
 
 
 @compiled

@@ -22,7 +22,7 @@ import math
 
 from . import tracked
 from .compiled import compiled
-from .events import OF_BOTH, approach_of, first_at, follows, highest_between
+from .events import OF_BOTH, first_at, follows, highest_between, rise_of
 from .faces import largest_approach, largest_force, stored_energy
 from .incoming import step_end
 from .tracked import (
@@ -180,7 +180,7 @@ def _approach_after_loss(s, j, theta):
     lane = s.lane[j]
     m = (1 - lane.side) * LANES + j
     x = s.x[0, m]
-    _, slope = approach_of(s, m, theta)
+    _, slope = rise_of(s.x, m, theta)
     if s.spring[m] == 0.0 or x <= 0.0 or slope <= 0.0:
         return 0.0
     rate = slope / s.h[j]
