@@ -57,6 +57,22 @@ def study(strength: Any = 8.0, **more: Any) -> Study:
     return Study(**{**tables, **more})
 
 
+def test_a_run_scrambles_its_points_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All values of the free number have the same points, and longer samples continue them."""
+    seeds = list[str]()
+
+    class Counted(stats.qmc.Sobol):
+        def __init__(self, d: int, *, rng: np.random.Generator, **options: Any) -> None:
+            seeds.append(str(rng.bit_generator.state))
+            super().__init__(d, rng=rng, **options)
+
+    monkeypatch.setattr(stats.qmc, "Sobol", Counted)
+    margins = {"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.5]}
+    uqsphere.run(study(seed=20261129, margins=margins), linear)
+    assert seeds
+    assert len(seeds) == len({*seeds})
+
+
 def holds(run: Run, subject: str, answer: str, truth: float, at: float | str = "") -> bool:
     """Whether an answer is within four of its own standard errors of the truth."""
     table = run.answers

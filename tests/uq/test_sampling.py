@@ -59,6 +59,23 @@ def test_points_are_those_of_scipy(dimension: int, count: int) -> None:
     assert np.array_equal(found, rival + 0.5 ** (bits + 1))
 
 
+def test_a_sequence_is_scrambled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scrambling takes longer than the points: parts of a sequence, and the same points again, are
+    drawn of one that is not scrambled anew."""
+    scrambled = list[int]()
+
+    class Counted(qmc.Sobol):
+        def __init__(self, d: int, **options: object) -> None:
+            scrambled.append(d)
+            super().__init__(d, **options)
+
+    monkeypatch.setattr(qmc, "Sobol", Counted)
+    whole = draw(32, task="once")
+    assert np.array_equal(draw(16, start=16, task="once"), whole[16:])
+    assert np.array_equal(draw(32, task="once"), whole)
+    assert scrambled == [3]
+
+
 def test_points_lie_strictly_inside_and_reach_into_the_tails() -> None:
     points = draw(2**17, dimension=1)
     assert points.min() > 0.0

@@ -176,13 +176,13 @@ class Design:
         return at_normals(joint or self.drawn, self.normals(count, start))
 
     @cached_property
-    def many_normals(self) -> Callable[[int], Array]:
-        """The same for as many points as an expansion is evaluated at; those of one count are
-        kept."""
-        return lru_cache(maxsize=1)(self.normals)
+    def normals(self) -> Callable[..., Array]:
+        """The points as independent standard normals (R, count, D), by `count` and `start`; the
+        last ones are kept, since all values of a line and all expansions ask for the same.
+        """
+        return lru_cache(maxsize=2)(self._normals)
 
-    def normals(self, count: int, start: int = 0) -> Array:
-        """The points as independent standard normals (R, count, D)."""
+    def _normals(self, count: int, start: int = 0) -> Array:
         uniforms = [
             sobol_points(
                 dimension=len(self.drawn.names),

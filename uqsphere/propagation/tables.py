@@ -175,7 +175,7 @@ class Tables:
         if expansion is None:
             return self.sample.answer(name)
         count = min(MANY * self.sample.count, MOST_MANY)
-        return values_at(self.design, expansion, self.design.many_normals(count))
+        return values_at(self.design, expansion, self.design.normals(count))
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]

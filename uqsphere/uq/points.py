@@ -18,7 +18,10 @@ The streams of a study's seed, by the names of their tasks:
     analysis                fragility
 """
 
+import copy
 import hashlib
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -66,21 +69,26 @@ def sobol_points(
     >>> bool((first[4:] == more).all())
     True
     """
-    if count < 0 or start < 0 or dimension < 0:
+    if min(count, start, dimension) < 0:
         raise ValueError(
             "count, start and dimension must not be negative, "
             f"found {count}, {start} and {dimension}"
         )
     if count == 0 or dimension == 0:
         return np.empty((count, dimension))
+    sequence = copy.deepcopy(_sequence(dimension, seed, task, replicate))
+    # SciPy warns of a first draw of other than a power of two
+    corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
+    return corners[start:] + 0.5 ** (sequence.bits + 1)  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=32)
+def _sequence(dimension: int, seed: int, task: str, replicate: int) -> Any:
+    """A sequence before its first point: to scramble it takes longer than thousands of points."""
     from scipy.stats.qmc import Sobol
 
     bits = 52
     if dimension >= 1000:
         # the scrambling matrices of 52-bit points would fill the memory
         bits = 30
-    rng = random_generator(seed=seed, task=task, replicate=replicate)
-    sequence = Sobol(dimension, bits=bits, rng=rng)
-    # SciPy warns of a first draw of other than a power of two
-    corners = np.concatenate([sequence.random(1), sequence.random(start + count - 1)])
-    return corners[start:] + 0.5 ** (bits + 1)
+    return Sobol(dimension, bits=bits, rng=random_generator(seed, task, replicate))
