@@ -55,7 +55,7 @@ def program() -> None:
     with contextlib.suppress(AttributeError, OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
-    gc.set_threshold(100_000)  # imports make objects that stay: few are worth a search for cycles
+    gc.set_threshold(1_000_000)  # imports make objects that stay: few are worth a search for cycles
     if not sys.warnoptions:  # NumPy's are for developers; ours are printed
         warnings.simplefilter("ignore")
     try:

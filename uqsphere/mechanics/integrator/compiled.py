@@ -8,12 +8,11 @@ process.
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import pickle
 import stat
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache, partial
 from hashlib import sha256
 from importlib import metadata
@@ -82,7 +81,6 @@ def _keep(folder: Path, function: Any) -> None:
             return folder / f"{function.__name__}-{sha256(key.encode()).hexdigest()[:16]}.nbc"
 
         def load_overload(self, signature: object, target: Any) -> Any:
-            target.refresh()
             path = self.place(signature, target.codegen())
             with contextlib.suppress(Exception):  # what is not ours raises as it likes
                 content = path.read_bytes()
@@ -102,18 +100,6 @@ def _keep(folder: Path, function: Any) -> None:
                     beside.unlink()
 
     function._cache = Kept()
-
-
-@contextlib.contextmanager
-def without_collection() -> Iterator[None]:
-    """No looking for garbage while something is compiled: what numba makes lives to the end."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 def compiled(

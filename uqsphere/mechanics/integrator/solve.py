@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, TypeVar
@@ -29,7 +28,6 @@ from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wish
 from uqsphere.mechanics.scene import STATUS, Scales, Scene
 
 from . import tracked
-from .compiled import without_collection
 from .tracked import Rows
 
 Result = TypeVar("Result")
@@ -293,8 +291,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
         # for a power of two of steps all lanes would share a few lines of the processor's cache
         made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
         kept = np.zeros((len(order), capacity if wanted & tracked.WANT_MOTION else 0), tracked.PATH)
-        with without_collection() if not march.signatures else nullcontext():
-            march(rows, order, state, made, kept, answers)
+        march(rows, order, state, made, kept, answers)
         if wanted & tracked.WANT_MOTION:
             for row, path in zip(order.tolist(), kept, strict=True):
                 paths[row] = path[: answers["steps"][row]].copy()
@@ -310,8 +307,11 @@ def integrate(scene: Scene, task: Task, *, threads: int | None = None) -> Any:
     answers["status"] = scene.status
     rows = np.flatnonzero(scene.status == 0)
     if len(rows):
+        size = _BLOCK
+        if thread_count(threads) == 1:  # lanes run empty, and rows are looked at again, only once
+            size = len(rows)
         looked = _by_blocks(
-            partial(look_closer, task=task), scaled_arguments(scene, rows), _BLOCK, threads
+            partial(look_closer, task=task), scaled_arguments(scene, rows), size, threads
         )
         answers[rows] = np.concatenate(looked)
     return answers
