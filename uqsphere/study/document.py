@@ -279,7 +279,14 @@ def _with_numbers(table: str) -> tuple[Any, TomlTable]:
             SkipValidation[kinds],  # type: ignore[misc, valid-type]
             Field(default=None, description=quantity.meaning),
         )
-    kind = create_model(table.capitalize(), __base__=words, __doc__=words.__doc__, **numbers)
+    kind = create_model(
+        table.capitalize(),
+        __base__=words,
+        __doc__=words.__doc__,
+        # no source in which docstrings would be looked for, at length
+        __cls_kwargs__={"use_attribute_docstrings": False},
+        **numbers,
+    )
     return kind, kind.model_construct()
 
 
