@@ -209,6 +209,7 @@ def onset_of(study: Study) -> float | None:
     return min(filter(math.isfinite, onsets), default=None)
 
 
+@quiet
 def later_loading(study: Study, names: Names, rows: Array) -> Array:
     """Largest force on to the horizon over that of the record, (n,): above 1 a later loading is
     harder.

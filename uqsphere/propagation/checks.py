@@ -132,8 +132,7 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
 
 def _later_loading(design: Design, rows: np.ndarray) -> Iterator[Check]:
     """Whether the loose sphere strikes one bar harder after the record than in it."""
-    with np.errstate(all="ignore"):
-        ratio = later_loading(design.study, design.inputs, rows)
+    ratio = later_loading(design.study, design.inputs, rows)
     finite = ratio[np.isfinite(ratio)]
     harder = finite[finite > 1.001]
     if harder.size:

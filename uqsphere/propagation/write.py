@@ -401,7 +401,8 @@ def samples_of(tables: Tables) -> dict[str, Array | Flags]:
 
 def cells_of(column: Array | Flags) -> list[Any]:
     """A column as cells of a table: a number that is not known is left empty."""
-    return [None if math.isnan(number) else number for number in column.tolist()]
+    cells = np.where(np.isnan(column), None, column)  # type: ignore[call-overload]
+    return cells.tolist()  # type: ignore[no-any-return]
 
 
 def write_run(

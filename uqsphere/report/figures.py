@@ -78,9 +78,8 @@ def picture_svg(draw: Callable[[Figure], None], width: float, height: float) -> 
     import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # a user's matplotlibrc may ask for TeX
-        matplotlib.rcParams.update(STYLE)  # type: ignore[arg-type]
+    # a user's matplotlibrc may ask for TeX
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **STYLE}):  # type: ignore[dict-item]
         figure = Figure(figsize=(width / 72.0, height / 72.0), dpi=72)
         text = io.StringIO()
         draw(figure)

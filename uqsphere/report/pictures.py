@@ -221,14 +221,14 @@ def _brief(text: str) -> str:
 def draw_indices(axes: Axes, indices: Indices, *, names: bool = True) -> None:
     """First-order and total indices, a row an input, with their 95 % intervals."""
     count = len(indices.inputs)
-    heights = reversed(range(count))
-    for height, first, total in zip(heights, indices.first.T, indices.total.T, strict=True):
-        axes.axhline(height, color=FAINT, linewidth=0.7, zorder=0)
-        axes.hlines(height, *first[1:], color=INK, linewidth=1.2, zorder=2)
-        axes.hlines(height, *total[1:], color=BLUE, linewidth=2.5, zorder=3)
-        axes.plot(first[0], height, "o", mfc="none", mec=INK, ms=10, clip_on=False, zorder=4)
-        axes.plot(total[0], height, "o", color=BLUE, ms=5, clip_on=False, zorder=5)
-        text = "–" if np.isnan(total[0]) else f"{total[0]:.2f}"
+    heights = np.arange(count)[::-1]
+    axes.hlines(heights, -0.06, 1.06, color=FAINT, linewidth=0.7, zorder=0)
+    axes.hlines(heights, *indices.first[1:], color=INK, linewidth=1.2, zorder=2)
+    axes.hlines(heights, *indices.total[1:], color=BLUE, linewidth=2.5, zorder=3)
+    axes.plot(indices.first[0], heights, "o", mfc="none", mec=INK, ms=10, clip_on=False, zorder=4)
+    axes.plot(indices.total[0], heights, "o", color=BLUE, ms=5, clip_on=False, zorder=5)
+    for height, share in zip(heights, indices.total[0], strict=True):
+        text = "–" if np.isnan(share) else f"{share:.2f}"
         write(axes, text, (1.0, height), (14.0, 0.0), ("axes fraction", "data"))
     axes.set(xlim=(-0.06, 1.06), ylim=(-0.6, count - 0.4))
     axes.set_xticks((0.0, 0.5, 1.0), ("0", "0.5", "1"))
