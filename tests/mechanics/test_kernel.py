@@ -31,14 +31,14 @@ EXACT = 1e-12
 REFERENCE = json.loads((Path(__file__).parent / "data" / "reference_scenes.json").read_text())
 
 
-def random_scene(count: int, seed: int, **structure: Any) -> Scene:
-    """Finite bars of very different lengths, ends from fixed to free, mu from 1e-4 to 10."""
+def random_scene(count: int, seed: int, *, lightest: float = 1e-4) -> Scene:
+    """Finite bars of very different lengths, ends from fixed to free, mu up to 10."""
     rng = np.random.default_rng(seed)
     first = 10.0 ** rng.uniform(-0.5, 0.7, count)
     trips = np.stack([first, first * 10.0 ** rng.uniform(-1.2, 1.2, count)], axis=1)
     ends = rng.choice([-1.0, -0.4, 0.0, 0.5, 1.0], (count, 2))
-    mu, theta = 10.0 ** rng.uniform(-4, 1, count), first * rng.uniform(0.05, 1.0, count)
-    return scaled_scene(mu, theta, trips, ends, **structure)
+    mu = 10.0 ** rng.uniform(np.log10(lightest), 1, count)
+    return scaled_scene(mu, first * rng.uniform(0.05, 1.0, count), trips, ends)
 
 
 def over(answers: SceneAnswers, scene: Scene, name: str) -> Any:
@@ -142,7 +142,8 @@ def _same_bits(first: SceneAnswers, second: SceneAnswers, rows: Any) -> None:
 @pytest.mark.parametrize("finite", [True, False])
 def test_a_row_depends_on_nothing_but_the_row(finite: bool) -> None:
     count = 1100
-    scene = random_scene(count, 7)
+    # lighter spheres rattle through many more steps of the same kind
+    scene = random_scene(count, 7, lightest=1e-2)
     if not finite:
         scene = Scene(columns=scene.columns, infinite=True)
         scene = Scene(
@@ -161,11 +162,19 @@ def test_a_row_depends_on_nothing_but_the_row(finite: bool) -> None:
 
 
 def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
-    scene = random_scene(300, 11)
+    drawn = random_scene(300, 11)
+    loss = ("time_to_first_loss",)
+    # behind the first loss a light sphere rattles for many steps, and what it does there hangs on
+    # every digit: of such rows no more than the first loss is held
+    look = solve(drawn, tolerance=1e-8, quantities=("p_max", *loss))
+    assert (look.status == 0).all()
+    ends_there = look.record <= look.values[loss[0]] * (1.0 + 1e-9)
+    scene, some = drawn.at(np.flatnonzero(ends_there)), drawn.at(np.arange(0, len(drawn), 3))
     exact = solve(scene, tolerance=1e-11)
+    lost = solve(some, tolerance=1e-11, quantities=loss)
     assert (exact.status == 0).all()
-    # behind the first loss a light sphere rattles, and what it does there hangs on every digit
-    kept = exact.record <= exact.values["time_to_first_loss"] * (1.0 + 1e-9)
+    assert (lost.status == 0).all()
+    kept = exact.record <= exact.values[loss[0]] * (1.0 + 1e-9)
     assert kept.sum() > 100
     medians = []
     for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
@@ -183,7 +192,9 @@ def test_the_error_falls_with_the_tolerance_and_stays_below_it() -> None:
             # a threshold may be reached one oscillation sooner or later: a true jump, in few rows
             assert np.quantile(error, 0.98) < SOLVER, (name, tolerance)
             assert np.median(error) < 1.0
-        late = relative(found.values["time_to_first_loss"], exact.values["time_to_first_loss"])
+        early = solve(some, tolerance=tolerance, quantities=loss)
+        assert answered(early.status).all()
+        late = relative(early.values[loss[0]], lost.values[loss[0]])
         assert np.quantile(late, 0.95) < SOLVER * tolerance
         medians.append(np.median(relative(found.values["p_max"], exact.values["p_max"])))
         assert found.steps[kept].mean() < 600
