@@ -632,6 +632,51 @@ def test_the_number_of_a_slow_model_allows_for_what_its_expansions_disagree_by()
     assert decision.use.value < 1.843
 
 
+@pytest.mark.parametrize("slow", [False, True])
+def test_a_rise_within_a_step_of_the_curve_is_found_to_three_digits(slow: bool) -> None:
+    scattered = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    budget = {"evaluations": 256, "time": "100 h"} if slow else {"evaluations": 400_000}
+    study = Study(
+        inputs={"v": 1.0, "a": scattered},
+        outputs="y",
+        limits={"high": limit("survive", 0.1, 80.0)},
+        margins={"solve": "v", "between": [0.5, 4.0]},
+        analysis={"cost": "10 s" if slow else "1 us", "budget": budget},
+    )
+
+    def tight(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": 41.3 * x["v"] + 0.3 * x["a"]}
+
+    results = uqsphere.run(study, tight).results
+    right = (80.0 + 0.3 * float(stats.norm.ppf(0.1))) / 41.3
+    (decision,) = results.decisions
+    assert decision.use is not None
+    assert 0.995 * right < decision.use.value < right
+    margin = next(row for row in results.answers if row.answer == "margin" and row.at == 0.1)
+    assert margin.low is not None
+    assert margin.high is not None
+    assert margin.low <= right <= margin.high
+    assert margin.high - margin.low < 0.02 * right
+
+
+def test_the_number_at_a_jump_keeps_its_target() -> None:
+    scattered = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    study = Study(
+        inputs={"v": 1.0, "a": scattered},
+        outputs="y",
+        limits={"high": limit("survive", 0.1, 80.0)},
+        margins={"solve": "v", "between": [0.5, 4.0]},
+        analysis={"budget": {"evaluations": 400_000}},
+    )
+
+    def jump(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.where(x["v"] > 2.345, 100.0, 50.0) + x["a"]}
+
+    (decision,) = uqsphere.run(study, jump).results.decisions
+    assert decision.use is not None
+    assert 0.995 * 2.345 < decision.use.value <= 2.345
+
+
 def test_limits_that_do_not_add_up_are_judged_each_by_itself() -> None:
     limits = {"a": limit("survive", 0.02), "b": limit("survive", 0.02, quantity="z")}
     study = Study(

@@ -46,6 +46,15 @@ def test_given_ends_are_those_of_the_curve_and_of_its_values() -> None:
     assert median.high_unseen == pytest.approx(MEDIAN * 1.3, rel=1e-3)
 
 
+@pytest.mark.parametrize("at", [0.93, 1.01, 1.16])
+def test_a_jump_is_only_known_to_lie_in_its_step(at: float) -> None:
+    exact = np.repeat(np.where(GRID[:, None] > at, 0.97, 0.02), 4, axis=1)
+    median = fragility(GRID, exact, (0.5,), samples=1000).values[0.5]
+    assert median.low is not None
+    assert median.high is not None
+    assert median.low <= at <= median.high
+
+
 def test_falling_curves_answer_the_same_questions() -> None:
     exact = np.repeat(lognormal(GRID)[:, None], 4, axis=1)
     found = fragility(GRID, 1.0 - exact, TARGETS, samples=1000)

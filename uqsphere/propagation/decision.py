@@ -20,15 +20,13 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.uq import student
 
 from .doubts import Aim, Curves, Doubt
-from .line import Line, refined
+from .line import CLOSE, Line, refined
 
 #: points of a replicate near the number to use, at first and at most
 _FIRST = 64
 _MOST = 1024
 #: passes that add rows at most, where a curve turns back again and again
 _PASSES = 20
-#: distance of the number to a value with rows of its own, over the range of the line
-_CLOSE = 1e-3
 
 
 @bundle
@@ -94,7 +92,7 @@ class Settled(Curves):
 
         room = 0.0
         if len(self.line.values) > 1:
-            room = _CLOSE * np.ptp(self.line.places)
+            room = CLOSE * np.ptp(self.line.places)
         return next(doubt for doubt in self.doubts if apart(doubt) <= room)
 
     @cached_property
@@ -160,7 +158,11 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
             break
         distances = np.abs(line.places - line.place_of(number))
         nearest = np.argmin(distances)
-        there = distances[nearest] < _CLOSE * np.ptp(line.places)
+        there = distances[nearest] < CLOSE * np.ptp(line.places)
+        if there and settled.number is not None and distances[nearest] > 0.0:
+            allowed = settled.setting.limit.allowable
+            missed_by = abs(settled.setting.curve[nearest] - allowed)
+            there = missed_by <= required * min(allowed, 1.0 - allowed)
         if there and line.samples[line.values[nearest]].count >= count:
             doubt = settled.governing
             allowed = doubt.limit.allowable

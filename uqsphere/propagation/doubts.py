@@ -29,7 +29,7 @@ from uqsphere.uq.limit_state import make_union
 from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .limits import common_factor
-from .line import Line, YieldingRows, ends_by_rows, exceedance, score
+from .line import CLOSE, Line, YieldingRows, ends_by_rows, exceedance, score
 from .tables import Compared
 
 #: strengths that tests allow
@@ -326,6 +326,9 @@ class Curves:
             return None
         excess = self.line.interpolated(score(curve) - score(limit.allowable))
         low, high = self.line.places[k - 1 : k + 1]
+        if high - low < 2.0 * CLOSE * np.ptp(self.line.places):
+            # between the two the curve may jump
+            return self.line.values[k - 1 + self.safe_above]
         return float(self.line.value_at(brentq(excess, low, high)))
 
     def by_strengths(

@@ -29,6 +29,8 @@ from .tables import Compared, Tables, answered, check_failures, evaluate, input_
 
 #: points of a replicate, where every value of the free number has the same rows
 _SHARED = 1024
+#: values of the free number are told apart by this share of its range, and are no closer
+CLOSE = 1e-3
 #: one in so many points serves a doubt that takes many strengths or other model runs, and at least
 _FEW_SHARE = 4
 _FEW = 16

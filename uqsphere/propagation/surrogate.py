@@ -21,6 +21,7 @@ from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
 from uqsphere.uq.corrected import NODES
+from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.response import FOLDS, Response, cross_fit
 from uqsphere.uq.rows import check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
@@ -30,6 +31,7 @@ from .design import Design, at_normals
 from .fragility import margin_and_scale
 from .free_number import grid, moved, shares_of, values_at
 from .grow import accuracies, first_rows
+from .line import CLOSE, Line, score
 from .progress import Progress
 from .tables import (
     Compared,
@@ -341,11 +343,35 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     # the first replicates behind each other, for each of the expansions
     first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
-    line = {}
-    folds = []
-    for value in grid(margins):
-        germ = 2.0 * shares_of(margins, value) - 1.0
-        line[value] = _with_predictions(design, table, responses, germ)[1]
-        folds.append(_with_predictions(design, shared, responses, germ)[0])
-    compared = Compared(sample=_compared(rows.where(good), fits), values=values[good], folds=folds)
+    line: dict[float, Sample] = {}
+    folds: dict[float, Sample] = {}
+    further = grid(margins)
+    while further:
+        for value in further:
+            germ = 2.0 * shares_of(margins, value) - 1.0
+            line[value] = _with_predictions(design, table, responses, germ)[1]
+            folds[value] = _with_predictions(design, shared, responses, germ)[0]
+        line = dict(sorted(line.items()))
+        further = _inside_steep_steps(Line(design=design, samples=line), count_bound(count))
+    compared = Compared(
+        sample=_compared(rows.where(good), fits),
+        values=values[good],
+        folds=[folds[value] for value in line],
+    )
     return replace(tables, line=line, compared=compared)
+
+
+def _inside_steep_steps(line: Line, least: float) -> list[float]:
+    """The values half-way between neighbours from one to the next of which the probability of
+    exceedance of some limit changes by more than a quarter of a normal score, between `least` and
+    its complement.
+    """
+    margins = line.design.study.margins
+    assert margins is not None
+    shares = shares_of(margins, np.array(line.values))
+    steep = np.zeros(len(shares) - 1, dtype=bool)
+    for limit in line.design.limits:
+        curve = line.means(line.state(limit).tails()[0]).mean(axis=1)
+        steep |= np.abs(np.diff(score(np.clip(curve, least, 1.0 - least)))) > 0.25
+    steep &= np.diff(shares) > CLOSE
+    return values_at(margins, 0.5 * (shares[1:] + shares[:-1])[steep]).tolist()

@@ -171,11 +171,17 @@ def _value(
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * behind
     sides += [places[n] for n in (k - 1, k) if counted and shown[n] < FEWEST]
-    # What the curve through every other point answers differently bounds what is lost between the
+    # What the curves through every other point answer differently bounds what is lost between the
     # points: halving the grid costs a monotone cubic at least a factor of four.
-    every = np.unique([*range(0, grid.size, 2), grid.size - 1])
-    other = _crossing(places[every], pooled[every], target, least[every])
-    between_points = np.nan_to_num(abs(other - centre)) / 4.0
+    between_points = 0.0
+    for first in (0, 1):
+        every = np.unique([0, *range(first, grid.size, 2), grid.size - 1])
+        other = _crossing(places[every], pooled[every], target, least[every])
+        between_points = np.fmax(between_points, abs(other - centre) / 4.0)
+    step = places[k - 1 : k + 1]
+    if between_points > 0.1 * np.ptp(step):
+        # the curves differ by half a step or more where there is a jump, known to its step only
+        sides += [*step]
     below, above = (
         distance + between_points
         for distance in (centre - np.min(sides), np.max(sides) - centre)  # nan where one is
