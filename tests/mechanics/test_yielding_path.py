@@ -216,7 +216,7 @@ def test_thresholds_of_force_are_as_close_as_the_approaches(numbers, law):
 def there_and_back(lanes, given, approach):
     """The approach at which virgin loading reaches the force that it has at an approach."""
     s = lanes[0]
-    faces.new_faces(s, 0, given)
+    faces.new_face(s, 0, given[0])
     faces.press_on(s, 0)
     return faces.approach_at(s, 0, faces.face_force(s, 0, approach)[0])
 

@@ -7,12 +7,12 @@ are excluded.  Thresholds and sentences are in ``validity.toml``.
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import partial, reduce
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, Places, Values, frozen, quiet
+from uqsphere.arrays import Array, Names, Places, Values, frozen, quiet
 
 from . import bars, contact
 from .criteria import CRITERIA, Demands, Parameters, ranges_of
@@ -451,34 +451,38 @@ def _check_ranges(measures: Measures, quantities: Collection[str]) -> list[Valid
     criteria = {**ranged, **measures.scene.demands}
     columns = {name: column[measures.good] for name, column in measures.items()}
     return [
-        _check_range(name, *criteria[name], columns, measures.good)
+        _check_range(name, *criteria[name], columns, measures)
         for name in dict.fromkeys(quantities)
         if name in criteria and CRITERIA[criteria[name][0]].ranges
     ]
 
 
 def _check_range(
-    quantity: str, key: str, parameters: Parameters, columns: Mapping[str, Array], good: Flags
+    quantity: str,
+    key: str,
+    parameters: Parameters,
+    columns: Mapping[str, Array],
+    measures: Measures,
 ) -> ValidityCheck:
+    """A check like the others; columns: of the computed rows."""
     criterion = CRITERIA[key]
-    grades = np.zeros_like(good, dtype=int)
+    good = measures.good
+    is_outside = np.zeros(len(good))
     outside = []
     for name, values, low, high in ranges_of(criterion, columns, parameters):
-        grades[good] = np.where((values >= low) & (values <= high), grades[good], 2)
+        is_outside[good] = np.where((values >= low) & (values <= high), is_outside[good], 1.0)
         ends = ((values.min(initial=low), low), (values.max(initial=high), high))
         texts = [f"{end:.3g}" for end, limit in ends if end != limit]
         if texts:
             outside.append(f"{_SYMBOLS.get(name, name)} = {' to '.join(texts)}")
-    text = ""
-    share = float(np.count_nonzero(grades) / max(good.sum(), 1))
-    if share > 0.0:
-        consequence = "the formula is extrapolated"
-        if "equal forces" in criterion.range_text:
-            consequence = "the value at the table edge is used"
-        text = (
-            f"{_rows_text(share)}: {criterion.name} is outside its range "
-            f"({criterion.range_text}), {', '.join(outside)}; {consequence}"
-        )
-    return ValidityCheck(
-        check=f"range_of_{quantity}", shares=(0.0, share, 0.0), text=text, grades=grades
+    consequence = "the formula is extrapolated"
+    if "equal forces" in criterion.range_text:
+        consequence = "the value at the table edge is used"
+    rule = Rule(
+        key="range",
+        name=f"range_of_{quantity}",
+        words=f"{criterion.name} is outside its range ({criterion.range_text}), "
+        f"{', '.join(outside)}; {consequence}",
+        warning=0.5,
     )
+    return replace(_check(rule, measures, is_outside), worst=None)

@@ -3,6 +3,16 @@
 Everything here is plain code for one lane.  Bounds of both approaches (`lanes.survey`) say in which
 steps nothing can happen; only the others are searched, on the series of the step, so that an event
 is located far better than the steps are long.
+
+What is searched is a value over theta, the share of the trial step, by its kind: an approach, its
+rate, or a function of both approaches.  Two searches serve all events: `passage`, where a value
+first crosses a level, and `turn`, where its slope changes sign.  `after_step` looks in this order
+
+    first event     a contact that is lost or found (an approach crosses zero); a spring at its
+                    largest approach again, virgin loading that turns (its rate crosses zero)
+    largest values  up to there
+    end of record   both approaches below a share of the largest
+    integrals       of the forces and of their squares, up to there
 """
 
 from __future__ import annotations
@@ -313,10 +323,7 @@ def _first_event(s, j):
             lane.why = End.CONTACT
             lane.side = face
         if s.has_laws and not lane.touching:
-            if s.spring[m] == 0.0:
-                at = _virgin_end(s, j, face, ends)
-            else:
-                at = _spring_end(s, j, face, ends)
+            at = _branch_end(s, j, face, ends)
             if at < ends or (at == ends and lane.why == End.SERIES):
                 ends = at
                 lane.why = End.BRANCH
@@ -328,9 +335,19 @@ def _first_event(s, j):
 
 
 @compiled
-def _spring_end(s, j, face, end):
-    """theta at which a spring is at its largest approach so far again, or inf."""
+def _branch_end(s, j, face, end):
+    """theta at which a face changes its branch, or inf: on virgin loading it turns; a spring is at
+    its largest approach so far again.
+    """
     m = face * LANES + j
+    width = end / POINTS
+    if s.spring[m] == 0.0:
+        for i in range(POINTS):
+            begin = i * width
+            rate, _ = _bend_of(s, m, begin)
+            if rate > 0.0:  # where the loading begins the rate may be zero but for rounding
+                return passage(s, j, RATE + face, 0.0, -1.0, begin, end)
+        return math.inf
     largest = s.largest[m] - s.dent[m]
     if s.top[m] < largest * (1.0 - ARMED):
         return math.inf
@@ -338,7 +355,6 @@ def _spring_end(s, j, face, end):
         return passage(s, j, face, largest, 1.0, 0.0, end)
     # from its largest approach a spring goes down; after a shallow turn it may come up through it
     # again within the step
-    width = end / POINTS
     for i in range(1, POINTS + 1):
         theta = i * width
         above, above_rate = rise_of(s.x, m, theta)
@@ -349,17 +365,6 @@ def _spring_end(s, j, face, end):
             if rate < 0.0:
                 begin = turn(s, j, face, (begin, rate), (theta, above_rate))
             return passage(s, j, face, largest, 1.0, begin, theta)
-    return math.inf
-
-
-@compiled
-def _virgin_end(s, j, face, end):
-    """theta at which a face on virgin loading turns, or inf."""
-    for i in range(POINTS):
-        begin = i * end / POINTS
-        rate, _ = _bend_of(s, face * LANES + j, begin)
-        if rate > 0.0:  # where the loading begins the rate may be zero but for rounding
-            return passage(s, j, RATE + face, 0.0, -1.0, begin, end)
     return math.inf
 
 
@@ -427,9 +432,9 @@ def after_step(s, j):
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
             lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
-    if lane.low > 0.0:  # the record ends below a share of the largest approach
-        if not lane.by_law:
-            lane.low = tail_level(s, j)
+    if not s.rigged and lane.end == math.inf and lane.time >= lane.pulse_end:
+        # the record ends below a share of the largest approach
+        lane.low = tail_level(s, j)
         at = _both_below(s, j, lane.low, ends)
         if at <= ends:
             ends = at
@@ -451,13 +456,13 @@ def _note_approaches(s, j, ends):
     for face in range(2):
         m = face * LANES + j
         place = -1.0
-        # faces that are alike share the largest approach so far
-        to = face if s.has_laws else FACE_A
         if face_yielded(s, m):
             if s.spring[m] == 0.0:
                 place = ends  # on virgin loading it is at its deepest at the end
-        elif s.top[m] > lane.peak[to]:
-            lane.peak[to], place = _deepest(s, j, m, ends, lane.peak[to])
+        elif s.top[m] > lane.peak[face]:
+            lane.peak[face], place = _deepest(s, j, m, ends, lane.peak[face])
+        if not s.has_laws:  # faces that are alike share the largest approach so far
+            lane.peak[1 - face] = lane.peak[face]
         # above it a face has touched
         if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[m]:
             lane.touched[face] = 1.0

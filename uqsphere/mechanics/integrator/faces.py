@@ -52,24 +52,19 @@ _virgin_area, _area_shape = _LAW.area, _LAW.area_shape
 
 
 @compiled
-def new_faces(s, j, given):
-    """Both faces of a row before anything has yielded; given (2,): tracked.POLE, onset inf where a
-    face stays elastic.
-    """
-    for face in range(2):
-        m = face * LANES + j
-        pole = given[face]
-        _be_spring(s, m, pole.stiffness)
-        s.dent[m] = 0.0
-        s.turned_at[m] = -1.0
-        s.onset[m] = pole.onset
-        s.softening[m] = pole.softening
-        s.pile_up[m] = pole.pile_up
-        s.stiffness[m] = pole.stiffness
-        s.largest[m] = s.onset[m]
-        s.unit_force[m] = pole.stiffness * s.onset[m] ** 1.5
-        s.peak_force[m] = s.unit_force[m]
-        s.chi[m] = pole.share
+def new_face(s, m, pole):
+    """A face before anything has yielded; pole: tracked.POLE, onset inf where it stays elastic."""
+    _be_spring(s, m, pole.stiffness)
+    s.dent[m] = 0.0
+    s.turned_at[m] = -1.0
+    s.onset[m] = pole.onset
+    s.softening[m] = pole.softening
+    s.pile_up[m] = pole.pile_up
+    s.stiffness[m] = pole.stiffness
+    s.largest[m] = s.onset[m]
+    s.unit_force[m] = pole.stiffness * s.onset[m] ** 1.5
+    s.peak_force[m] = s.unit_force[m]
+    s.chi[m] = pole.share
 
 
 @compiled

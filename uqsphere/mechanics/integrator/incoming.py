@@ -21,14 +21,15 @@ def incident(s, j):
     lane = s.lane[j]
     h = s.h[j]
     z = lane.time - lane.offset
-    c_0 = lane.cubic[0]
-    c_1 = lane.cubic[1]
-    c_2 = lane.cubic[2]
-    c_3 = lane.cubic[3]
-    s.push[0, j] = 2.0 * (c_0 + z * (c_1 + z * (c_2 + z * c_3)))
-    s.push[1, j] = 2.0 * h * (c_1 + z * (2.0 * c_2 + z * (3.0 * c_3)))
-    s.push[2, j] = 2.0 * h * h * (c_2 + z * (3.0 * c_3))
-    s.push[3, j] = 2.0 * h * h * h * c_3
+    for k in range(4):
+        s.push[k, j] = 2.0 * lane.cubic[k]
+    for low in range(3):  # in powers of the time after z, by Horner's scheme
+        for k in range(2, low - 1, -1):
+            s.push[k, j] += z * s.push[k + 1, j]
+    power = 1.0
+    for k in range(4):
+        s.push[k, j] *= power
+        power *= h
     if lane.frequency > 0.0:
         angle = lane.frequency * h
         phase = lane.frequency * lane.time
@@ -155,8 +156,8 @@ def read_echo(s, j, bar, made):
         for i in range(WAVE):
             theta = shift + stretch * WAVE_THETAS[i]
             value = 0.0
-            for k in range(TERMS):
-                value = value * theta + kept.wave[bar, ORDER - k]
+            for k in range(ORDER, -1, -1):
+                value = value * theta + kept.wave[k, bar]
             s.work[i] = value
         # all points are read from every step; each step keeps those behind its start
         from_theta = -1.0

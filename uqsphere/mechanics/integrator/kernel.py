@@ -40,11 +40,10 @@ from .faces import (
     face_force,
     largest_approach,
     most_force,
-    new_faces,
+    new_face,
     press_deeper,
     start_series,
     switch,
-    tail_level,
     within_spring,
     wrong_branch,
 )
@@ -146,8 +145,6 @@ def _enter(s, j, r, rows):
         s.inverse_mu[j] = 0.0
     lane.end = rows.horizon[r]
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
-    new_faces(s, j, rows.poles[r])
-    lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
     quickest = max(1.0 / rows.mass[r], 1.0)
     stiffest = 1.0
     # first guesses: scales that are too small cost steps, too large ones accuracy
@@ -157,6 +154,7 @@ def _enter(s, j, r, rows):
     for face in range(2):
         m = face * LANES + j
         pole = rows.poles[r, face]
+        new_face(s, m, pole)
         lane.reflect[face] = rows.ends[r, face]
         lane.trips[face] = rows.round_trips[r, face]
         s.gives[m] = pole.gives
@@ -172,6 +170,7 @@ def _enter(s, j, r, rows):
         lane.touched[face] = 1.0 - pole.there
         quickest = max(quickest, pole.lightness)
         stiffest = max(stiffest, pole.stiffness)
+    lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
     lane.quickest = quickest * stiffest
     lane.back = min(lane.trips[0], lane.trips[1])
     if pulse_end == math.inf and lane.back == math.inf:
@@ -218,9 +217,7 @@ def _waves(s, made):
 
 @compiled
 def _try_step(s, j):
-    """The trial step of a lane; the approaches below which a record ends, a contact may be lost or
-    nearly is.
-    """
+    """The trial step of a lane; the approaches below which a contact may be lost or nearly is."""
     lane = s.lane[j]
     scale = min(s.size[j], s.size[LANES + j])
     largest = max(s.size[j], s.size[LANES + j])
@@ -256,9 +253,6 @@ def _try_step(s, j):
     lane.near = max(lane.faint, max(100.0 * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(lane.lost):
         lane.near = 0.0  # only the first loss of contact is an answer of its own
-    lane.low = -math.inf
-    if not s.rigged and lane.end == math.inf and lane.time >= lane.pulse_end:
-        lane.low = tail_level(s, j)
 
 
 # --- series
@@ -397,7 +391,7 @@ def _keep(s, j, ending, made):
         m = bar * LANES + j
         if lane.time + lane.trips[bar] < lane.end:
             for k in range(TERMS):
-                step.wave[bar, k] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
+                step.wave[k, bar] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
 
 
 @compiled(inline=True)

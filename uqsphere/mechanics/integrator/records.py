@@ -36,7 +36,6 @@ from .tracked import (
     LINEAR,
     MASSLESS,
     MEAN,
-    ORDER,
     PAIR,
     SHARE,
 )
@@ -70,17 +69,6 @@ def echoes_have_acted(s, j):
 
 
 @compiled
-def _wave(kept, bar, theta):
-    """The wave that left a face in a kept step, and its derivative, at a share of the step."""
-    value = kept.wave[bar, ORDER]
-    slope = 0.0
-    for k in range(ORDER - 1, -1, -1):
-        slope = slope * theta + value
-        value = value * theta + kept.wave[bar, k]
-    return value, slope
-
-
-@compiled
 def _bound_waves(s, j, bar, made):
     """Bounds of the wave that a bar sends back during the next round trip, in cells of time.
 
@@ -109,10 +97,10 @@ def _bound_waves(s, j, bar, made):
         first = max(begin - kept.began, 0.0) / kept.unit
         last = kept.holds / kept.unit
         width = (last - first) / _PARTS
-        left, left_slope = _wave(kept, bar, first)
+        left, left_slope = rise_of(kept.wave, bar, first)
         for part in range(1, _PARTS + 1):
             theta = first + part * width
-            right, right_slope = _wave(kept, bar, theta)
+            right, right_slope = rise_of(kept.wave, bar, theta)
             s.cell_wave[bar, count] = highest_between(
                 left, width * left_slope, right, width * right_slope
             )
@@ -156,20 +144,22 @@ def _largest_squeeze(s, j):
     0 where a face is yielding now.
     """
     lane = s.lane[j]
-    if not s.has_laws:
-        largest = max(lane.peak[FACE_A], lane.peak[FACE_B])
-        return (largest if s.mode == MASSLESS else 0.5 * largest), 1.0
-    force = largest_force(s, j)
-    soft = math.inf
-    stiff = 0.0
-    for m in range(j, PAIR, LANES):
-        if s.spring[m] == 0.0:
+    soft = 1.0
+    largest = max(lane.peak[FACE_A], lane.peak[FACE_B])
+    if s.has_laws:
+        force = largest_force(s, j)
+        soft = math.inf
+        stiff = 0.0
+        for m in range(j, PAIR, LANES):
+            force = min(force, s.peak_force[m])
+            soft = min(soft, s.spring[m])
+            stiff = max(stiff, s.spring[m])
+        largest = (force / stiff) ** (2.0 / 3.0)
+        if soft == 0.0:
             return 0.0, 1.0
-        force = min(force, s.peak_force[m])
-        soft = min(soft, s.spring[m])
-        stiff = max(stiff, s.spring[m])
-    approach = (force / stiff) ** (2.0 / 3.0)
-    return (approach if s.mode == MASSLESS else 0.5 * approach), soft
+    if s.mode != MASSLESS:
+        largest *= 0.5
+    return largest, soft
 
 
 @compiled
@@ -297,10 +287,7 @@ def no_higher_approach(s, j):
         if level > 0.0 and s.mode != LINEAR:
             rest = (level / spring) ** (2.0 / 3.0)
             least_phi = 0.6 * level * rest
-        top = lane.peak[FACE_A]
-        if s.has_laws:
-            top = largest_approach(s, m) - s.dent[m]
-        top *= slack
+        top = slack * (largest_approach(s, m) - s.dent[m])
         if top < rest * slack:
             return False
         least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
@@ -381,12 +368,9 @@ def finish(s, j, made, out):
     lane = s.lane[j]
     for face in range(2):
         m = face * LANES + j
-        # of faces that are alike the larger approach is followed
-        out.x[face] = lane.peak[FACE_A]
-        out.x_first[face] = lane.x_first[FACE_A]
+        out.x[face] = largest_approach(s, m)
+        out.x_first[face] = lane.x_first[face]
         if s.has_laws:
-            out.x[face] = largest_approach(s, m)
-            out.x_first[face] = lane.x_first[face]
             out.other[face] = lane.other[face]
         if s.wanted & tracked.WANT_CARRIED:
             out.carried[face] = lane.carried[face]

@@ -491,12 +491,10 @@ def look_closer(rows: Rows, task: Task) -> Any:
     answers, _ = march_rows(rows, task)
     ended = answers["status"] == tracked.OK
     closest = np.full(len(answers), tolerance)
-    doubt = np.zeros(len(answers), dtype=bool)
-    compared = np.zeros(len(answers), dtype=bool)
-    timed = wanted & tracked.WANT_CONTACT
-    if task.stop_at_loss and not task.rigged:
-        timed = wanted & tracked.TO_THE_END
     strict = wanted & tracked.WANT_CONTACT != 0
+    timed = strict
+    if task.stop_at_loss and not task.rigged:
+        timed = wanted & tracked.TO_THE_END != 0
     echoing = np.isfinite(rows.round_trips).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
     many = ended & (answers["steps"] > _MANY_STEPS) & (echoing | summed)
@@ -505,12 +503,12 @@ def look_closer(rows: Rows, task: Task) -> Any:
     behind = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
     counted = ended & behind & (wanted & tracked.WANT_DURATION != 0 and not task.rigged)
     while True:
-        if timed:
-            lost = np.nan_to_num(answers["contact"])
-            blur = answers["blur"] * np.where((closest == tolerance) & strict, _FIRST_LOOK, 1.0)
-            moved = np.fmax(lost - answers["grazed"], blur)
-            doubt = ended & (moved > _FIRM * tolerance * lost)
-        again = (unsettled | doubt | (counted & ~compared)) & (closest > _FINEST)
+        first = closest == tolerance
+        lost = np.nan_to_num(answers["contact"])
+        blur = answers["blur"] * np.where(first & strict, _FIRST_LOOK, 1.0)
+        moved = np.fmax(lost - answers["grazed"], blur)
+        doubt = ended & timed & (moved > _FIRM * tolerance * lost)
+        again = (unsettled | doubt | (counted & first)) & (closest > _FINEST)
         if not again.any():
             break
         for each in np.unique(closest[again]):
@@ -525,7 +523,6 @@ def look_closer(rows: Rows, task: Task) -> Any:
                 name: np.abs(column - before[name]) > _FIRM * tolerance * np.abs(column)
                 for name, column in tracked.answer_columns(look).items()
             }
-            compared[picked] = True
             unsettled[picked] = many[picked] & (
                 ~done | np.any([differs[name] for name in _COMPARED], axis=0)
             )

@@ -197,7 +197,7 @@ STEP = np.dtype(
         ("holds", "f8"),  # t_c; how much of its series holds
         ("unit", "f8"),  # t_c; the unit of its powers
         ("crest", "f8"),  # largest approach in it at most; force, where faces have laws
-        ("wave", "f8", (2, TERMS)),  # waves that left: f - P/Z at A, -(h + P/Z) at B; keep
+        ("wave", "f8", (TERMS, 2)),  # waves that left: f - P/Z at A, -(h + P/Z) at B; keep
         ("path", "f8", (2, TERMS)),  # approaches above the dents
         ("spring", "f8", 2),  # stiffness of the faces; 0 on virgin loading
         ("dent", "f8", 2),  # dents of the faces
@@ -252,7 +252,7 @@ LANE = np.dtype(
             "offset",  # t_c; where the piece of the pulse begins; enter_piece
             "steady",  # what runs in for ever, -1 while it may change; enter, jump
             # what is followed
-            "low",  # approach below which the record ends, -inf: none; try_step, after_step
+            "low",  # approach below which the record ends, 0: none; after_step
             "near",  # approach below which a contact may be lost; try_step
             "faint",  # error of an approach; try_step
             "impulse",  # integral of the mean force; after_step
@@ -331,12 +331,12 @@ STATE = np.dtype(
             "negligible",  # Chebyshev terms of an echo that may be left out; read_echo
             "misfit",  # the last two of them; fit_echoes
             # the faces: law, branch, and what stands at the pole
-            "stiffness",  # factor of x^(3/2) before anything yields; new_faces
-            "onset",  # approach at which it yields, inf: never; new_faces
-            "softening",  # b of (C3); new_faces
-            "pile_up",  # C of (C6); new_faces
-            "chi",  # share of the sphere in the stored energy; new_faces
-            "unit_force",  # force at the onset; new_faces
+            "stiffness",  # factor of x^(3/2) before anything yields; new_face
+            "onset",  # approach at which it yields, inf: never; new_face
+            "softening",  # b of (C3); new_face
+            "pile_up",  # C of (C6); new_face
+            "chi",  # share of the sphere in the stored energy; new_face
+            "unit_force",  # force at the onset; new_face
             "spring",  # factor of x^(3/2) above the dent, 0 on virgin loading; switch
             "dent",  # x_r; let_go
             "largest",  # x_m, deepest so far or the onset; let_go, press_deeper
