@@ -697,7 +697,7 @@ def test_an_answer_of_another_row_counts_as_not_stored(place: Path) -> None:
     assert again(place).reused == len(A) - 1
 
 
-@pytest.mark.parametrize("flips", [200, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("flips", [200, pytest.param(1000, marks=pytest.mark.slow)])
 def test_no_flipped_bit_of_a_cache_is_answered(tmp_path: Path, flips: int) -> None:
     """An answer is right, not stored, or refused; never another one."""
     rows = np.random.default_rng(1).normal(size=(500, 2))

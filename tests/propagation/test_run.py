@@ -154,7 +154,7 @@ def test_a_rare_event_is_searched_for() -> None:
 @pytest.mark.slow
 def test_many_limits_on_one_quantity_share_their_searches() -> None:
     limits, truth = {}, {}
-    for k, beta in enumerate(np.linspace(2.4, 6.0, 40)):
+    for k, beta in enumerate(np.linspace(2.4, 6.0, 20)):
         sd = 0.0 if k % 2 else 1.0 + k % 3
         mean = beta * float(np.hypot(5.0, sd))
         limits[f"l{k}"] = {
@@ -168,9 +168,9 @@ def test_many_limits_on_one_quantity_share_their_searches() -> None:
         (run.answers.answer == "failure_probability") & (run.answers["at"] == "")
     ].set_index("subject")
     assert all(holds(run, subject, "failure_probability", p) for subject, p in truth.items())
-    assert sum(table.low[subject] <= p <= table.high[subject] for subject, p in truth.items()) >= 35
+    assert sum(table.low[subject] <= p <= table.high[subject] for subject, p in truth.items()) >= 18
     # one by one they take 22,000 runs each
-    assert run.results.accuracy.runs < 40 * 10_000
+    assert run.results.accuracy.runs < 20 * 10_000
 
 
 def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
