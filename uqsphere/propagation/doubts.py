@@ -328,7 +328,7 @@ class Curves:
         low, high = self.line.places[k - 1 : k + 1]
         if high - low < 2.0 * CLOSE * np.ptp(self.line.places):
             # between the two the curve may jump
-            return self.line.values[k - 1 + self.safe_above]
+            return float(self.line.values[k - 1 + self.safe_above])
         return float(self.line.value_at(brentq(excess, low, high)))
 
     def by_strengths(

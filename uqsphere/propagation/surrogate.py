@@ -374,4 +374,4 @@ def _inside_steep_steps(line: Line, least: float) -> list[float]:
         curve = line.means(line.state(limit).tails()[0]).mean(axis=1)
         steep |= np.abs(np.diff(score(np.clip(curve, least, 1.0 - least)))) > 0.25
     steep &= np.diff(shares) > CLOSE
-    return values_at(margins, 0.5 * (shares[1:] + shares[:-1])[steep]).tolist()
+    return [*values_at(margins, 0.5 * (shares[1:] + shares[:-1])[steep])]
