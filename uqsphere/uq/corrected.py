@@ -320,63 +320,35 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
 
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
-    of all rows, each with its own fold.  The last part of the first indices is that of
-    `block_parts`; of the total ones it lies between that of the first index and all of r^2: the
-    middle of the former, and as much of r^2 as S_f is of the expansion, are likeliest.  Where this
-    does not differ significantly from the median of the folds' S_f, the value is the median.
-    Without expansions that can be trusted f is the mean.  Where the variance of the rows may be
-    infinite, every interval is from 0 to 1.
+    of all rows, each with its own fold (`_row_parts`); `_rests` has the last part of the numerator.
+    Where an index does not differ significantly from the median of the folds' S_f, the value is the
+    median.  Without expansions that can be trusted f is the mean.  Where the variance of the rows
+    may be infinite, every interval is from 0 to 1.
     """
     y = response.outputs
     n = response.count
-    d = len(response.germs)
     folds = response.trusted if response.error < 1.0 else ()
     method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
     if not np.ptp(y) > 1e-14 * abs(y).max():
-        nothing = [absent("the output does not vary with the inputs", method, n)] * d
+        reason = "the output does not vary with the inputs"
+        nothing = [absent(reason, method, n)] * len(response.germs)
         return {"first": nothing, "total": nothing}
-    residual = (y - y.mean()) / y.std()
-    top = np.zeros((2, d, n))
-    bottom = residual**2
-    shares = np.zeros((max(len(folds), 2), 2, d))
-    rounding = 1e-15
-    for place, k in enumerate(folds):
-        there = response.fold == k
-        moments = response.integrals[k]
-        unit = moments.sd or 1.0
-        shares[place] = moments.shares
-        rounding = max(rounding, moments.error)
-        residual[there] = response.residuals[there] / unit
-        parts = response.folds[k].fit.projections(response.points[there]) / unit
-        top[:, :, there] = shares[place][:, :, None] + 2.0 * residual[there] * parts
-        level = (response.levels[there] - moments.mean) / unit
-        bottom[there] = 1.0 + 2.0 * residual[there] * level + residual[there] ** 2
-    used = np.isin(response.fold, folds or range(FOLDS))
-    top, bottom, residual = top[:, :, used], bottom[used], residual[used]
-    whole = bottom.mean()
-    left = (residual**2).mean() / whole
-    # of the residuals' variance: the least, the most, their half-width, and what is likeliest
-    rests = np.zeros((4, 2, d))
-    for j, column in enumerate(response.points[used].T):
-        blocks = block_parts(column, residual)
-        low, *larger = (part.mean() / whole for part in blocks)
-        half = max(distances(part)[1] for part in blocks) / whole
-        rests[:, 0, j] = low, max(larger), half, 0.5 * (low + max(larger))
-    expanded = np.median(shares, axis=0)
-    rests[1, 1] = min(left + distances(residual**2)[1] / whole, 1.0)
-    rests[3, 1] = expanded[1] * left
-    least, most, error, likely = rests
-    values = top.mean(axis=2) / whole
-    influences = (top - values[:, :, None] * bottom) / whole
-    noise = influences.var(axis=2, ddof=1) / len(bottom)
+    rows = _row_parts(response, folds)
+    whole = rows.bottom.mean()
+    least, most, error, likely = _rests(rows)
+    values = rows.top.mean(axis=2) / whole
+    influences = (rows.top - values[:, :, None] * rows.bottom) / whole
+    noise = influences.var(axis=2, ddof=1) / len(rows.bottom)
     reach = np.apply_along_axis(distances, 2, influences)
-    reach = np.hypot(reach, np.hypot(fold_spread(shares), error)[:, :, None]) + rounding
+    by_folds = np.hypot(fold_spread(rows.shares), error)
+    reach = np.hypot(reach, by_folds[:, :, None]) + rows.rounding
     lows = np.clip(values + least - reach[:, :, 0], 0.0, 1.0)
     highs = np.clip(values + most + reach[:, :, 1], 0.0, 1.0)
     reasons = [heavy_tail(y, certain=True)] * 2
     if reasons[0]:
         lows[:] = 0.0
         highs[:] = 1.0
+    expanded = np.median(rows.shares, axis=0)
     best = expanded + _significant(values + likely - expanded, noise, n)
     if response.error > MOST:
         # what changes from a row to its neighbours is in no block
@@ -392,7 +364,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         reasons[1] = "bounded by the first indices"
     orders = {}
     columns = np.stack([np.clip(best, lows, highs), lows, highs], axis=2).tolist()
-    for order, rows, reason in zip(("first", "total"), columns, reasons, strict=True):
+    for order, ends, reason in zip(("first", "total"), columns, reasons, strict=True):
         orders[order] = [
             replace(
                 bounded(value, low, high, 0.25 * (high - low), method, n),
@@ -400,9 +372,81 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
                 high=high,
                 reason=reason or None,
             )
-            for value, low, high in rows
+            for value, low, high in ends
         ]
     return orders
+
+
+@bundle
+class _RowParts:
+    """What n rows add to the indices of d inputs, in units of the expansions' standard deviation.
+
+    points : (n, d) of the germs
+    top : (2, d, n) S_f V_f + 2 r P_j of the first and of the total indices
+    bottom : (n,) V_f + 2 r (f - m) + r^2
+    residuals : (n,) r
+    shares : (K, 2, d) S_f of each fold
+    rounding : error of an S_f
+    """
+
+    points: Array
+    top: Array
+    bottom: Array
+    residuals: Array
+    shares: Array
+    rounding: float
+
+
+def _row_parts(response: Response, folds: Sequence[int]) -> _RowParts:
+    """The parts of the rows of some folds; without folds of all rows, about their mean."""
+    y = response.outputs
+    d = len(response.germs)
+    residuals = (y - y.mean()) / y.std()
+    top = np.zeros((2, d, response.count))
+    bottom = residuals**2
+    shares = np.zeros((max(len(folds), 2), 2, d))
+    rounding = 1e-15
+    for place, k in enumerate(folds):
+        there = response.fold == k
+        moments = response.integrals[k]
+        unit = moments.sd or 1.0
+        shares[place] = moments.shares
+        rounding = max(rounding, moments.error)
+        residuals[there] = response.residuals[there] / unit
+        parts = response.folds[k].fit.projections(response.points[there]) / unit
+        top[:, :, there] = shares[place][:, :, None] + 2.0 * residuals[there] * parts
+        level = (response.levels[there] - moments.mean) / unit
+        bottom[there] = 1.0 + 2.0 * residuals[there] * level + residuals[there] ** 2
+    used = np.isin(response.fold, folds or range(FOLDS))
+    return _RowParts(
+        points=response.points[used],
+        top=top[:, :, used],
+        bottom=bottom[used],
+        residuals=residuals[used],
+        shares=shares,
+        rounding=rounding,
+    )
+
+
+def _rests(rows: _RowParts) -> Array:
+    """What the residuals add to the first and the total indices (4, 2, d): the least, the most, the
+    half-width of these, and what is likeliest.
+
+    To the first ones the parts of `block_parts`; to the total ones between that and all of r^2: the
+    middle of the former, and as much of r^2 as S_f is of the expansion, are likeliest.
+    """
+    squares = rows.residuals**2
+    whole = rows.bottom.mean()
+    left = squares.mean() / whole
+    rests = np.zeros((4, *rows.top.shape[:2]))
+    for j, column in enumerate(rows.points.T):
+        blocks = block_parts(column, rows.residuals)
+        low, *larger = (part.mean() / whole for part in blocks)
+        half = max(distances(part)[1] for part in blocks) / whole
+        rests[:, 0, j] = low, max(larger), half, 0.5 * (low + max(larger))
+    rests[1, 1] = min(left + distances(squares)[1] / whole, 1.0)
+    rests[3, 1] = np.median(rows.shares, axis=0)[1] * left
+    return rests
 
 
 def block_parts(column: Array, residual: Array) -> tuple[Array, Array, Array]:
