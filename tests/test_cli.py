@@ -136,3 +136,35 @@ def test_list_tells_the_keys_of_every_distribution(capsys: pytest.CaptureFixture
     lines = capsys.readouterr().out.splitlines()
     assert all(len(line.split()) > 1 for line in lines)
     assert "uniform       lower, upper" in lines
+
+
+SQUARE = """
+title = "A square"
+inputs.a = { dist = "normal", mean = 3.0, sd = 1.0 }
+outputs.names = ["y"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("analysis.quantiles = 0.5", "must be an array, [...]"),
+        ('margins = { solve = "a", between = [1.0] }', "at least 2 items, not an array of 1"),
+        ('limits = { quantity = "y" }', "must be a table with a name, [limits.NAME]"),
+        ('limits = [{ quantity = "y" }]', "must be a table in single brackets"),
+    ],
+)
+def test_a_value_of_another_form_is_told_the_form(
+    line: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("square.toml").write_text(SQUARE + line)
+    assert main(["check", "square.toml"]) == 2
+    (text,) = capsys.readouterr().err.splitlines()
+    assert text.startswith("square.toml:5: ")
+    assert says in text
+
+
+def test_a_check_names_no_more_runs_than_the_budget(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("square.toml").write_text(f"{SQUARE}analysis.budget.evaluations = 300")
+    assert main(["check", "square.toml"]) == 0
+    assert "starts with 256 model runs" in capsys.readouterr().out

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 
 def as_text(value: object, longest: int = 300) -> str:
-    """The text of anything from outside as one short line that can be printed; never raises.
+    """The text of anything from outside as one short line that can be printed; raises nothing but
+    KeyboardInterrupt.
 
     >>> as_text("a\\x1b[2J  b"), as_text("x" * 1000, 5)
     ('a?[2J b', 'xxxx…')
@@ -13,6 +14,8 @@ def as_text(value: object, longest: int = 300) -> str:
     try:
         # what comes behind is not looked at: the blanks between words alone could be megabytes
         text = str(value)[: 64 * longest]
+    except KeyboardInterrupt:
+        raise
     except BaseException as error:
         return f"(its text cannot be had: {type(error).__name__})"
     text = "".join(mark if mark.isprintable() else "?" for mark in " ".join(text.split()))

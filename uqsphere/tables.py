@@ -87,10 +87,13 @@ class TableError(UsageError):
 def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
     """Bare name and unit of a heading; None where it names no unit of the dimension.
 
-    A bracket counts as a whole, so that a factor in it is never dropped.
+    A bracket counts as a whole, so that a factor in it is never dropped; so does a unit of another
+    dimension.
 
     >>> unit_in_heading("rate_kN_s", "loading_rate"), unit_in_heading("D in mm", "length")
     (('rate', 'kN/s'), ('D', 'mm'))
+    >>> unit_in_heading("energy_J/kg", "mass")
+    ('energy_J/kg', None)
     >>> unit_in_heading("stress [10 MPa]", "pressure")
     ('stress [10 MPa]', None)
     """
@@ -106,11 +109,15 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
         rest = heading[gap.end() :].strip()
         if not name or rest.isdigit() or _is_open(name) or factor_in_heading(name):
             continue
+        if name.endswith((" per", "_per")):
+            break
         if rest == "in" and not set("/,") & set(gap[0]):
             continue  # the inner diameter D_in is no length in inches
         unit = _known_unit(rest, dimension)
         if unit:
             return name, unit
+        if any(_known_unit(rest, other) for other in UNITS):
+            break
     return heading, None
 
 
@@ -649,9 +656,9 @@ def table_of(
     wide = next((line for line, row in numbered if any(row[width:])), 0)
     if wide:
         # what may have brought a row more cells than headings
-        cells = [cell for _, row in numbered[:20] for cell in row if cell]
+        whole = [re.fullmatch(r"[+-]?\d+", cell) for cell in rows[wide]]
         way = ""
-        if all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells):
+        if sum(map(bool, whole)) > len(rows[wide]) - width:
             way = "A decimal comma between commas? Save the file with semicolons"
         elif sum(map(bool, headings)) == 1 and len(numbered) > 1:
             way = f"Is {as_text(headings[0], 40)!r} a title? Delete its line"

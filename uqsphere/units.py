@@ -256,7 +256,7 @@ def shown(value: object) -> str:
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list | tuple):
-        return "an array"
+        return f"an array of {len(value)}"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int) and abs(value) > _LARGEST_SHOWN:

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import uqsphere
 from uqsphere.errors import AccessError, ModelError, UsageError
 from uqsphere.mechanics import closed_form
 from uqsphere.mechanics.outputs import OUTPUTS
@@ -569,3 +570,24 @@ def test_what_a_mask_hides_is_no_answer() -> None:
             warnings.simplefilter("ignore")  # NumPy's own on the list
             answers = call_black_box(lambda x, v=value: {"y": v}, ("a",), np.zeros((3, 1)), ("y",))
         np.testing.assert_array_equal(answers[:, 0], [1.0, np.nan, 3.0])
+
+
+class Pressed:
+    """What a user interrupts while it is read."""
+
+    def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+        raise KeyboardInterrupt
+
+    def __str__(self) -> str:
+        raise KeyboardInterrupt
+
+
+def raises(x: Any) -> Any:
+    raise ValueError(Pressed())
+
+
+@pytest.mark.parametrize("model", [lambda x: {"y": Pressed()}, raises])
+def test_ctrl_c_is_no_fault_of_the_model_that_it_meets(model: Any) -> None:
+    study = Study(inputs={"a": {"dist": "normal", "mean": 3.0, "sd": 1.0}}, outputs="y")
+    with pytest.raises(KeyboardInterrupt):
+        uqsphere.run(study, model)

@@ -118,6 +118,12 @@ def test_workbooks_that_are_larger_than_they_seem(
         ("stress_1e3_MPa", "pressure", ("stress_1e3_MPa", None)),
         ("time [0.1 us]", "time", ("time [0.1 us]", None)),
         ("force[x1000 N]", "force", ("force[x1000 N]", None)),
+        # a unit of another quantity is none of this one
+        ("energy_J/kg", "mass", ("energy_J/kg", None)),
+        ("energy J per kg", "mass", ("energy J per kg", None)),
+        ("rate_kN_s", "time", ("rate_kN_s", None)),
+        ("v m/s", "time", ("v m/s", None)),
+        ("Masse m/kg", "mass", ("Masse m", "kg")),
         # an inner diameter is no inch
         ("D_in", "length", ("D_in", None)),
         ("D [in]", "length", ("D", "in")),
@@ -173,6 +179,7 @@ FAULTY = {
     "columns divided by bars": ("D|F\n1|2\n", "divide columns by commas, semicolons or tabs"),
     "a decimal comma in one column": ("F\n14,9\n15,1\n", "A decimal comma between commas?"),
     "a decimal comma between commas": ("D,F\n14,9,7,42\n", "line 2: more cells than headings"),
+    "a decimal comma in one row": ("D,F\n14.9,7.42\n14,9,7\n", "Save the file with semicolons"),
     "a unit of another system in a row": ("F,D\nkips,in\n3,1\n", "'kips' is not a unit of this"),
     "a factor in a row of units": ("F,D\n10 kN,mm\n3,1\n", "has the factor '10'. Multiply"),
     "no such column": ("D,G\n1,2\n", "the column 'F' is not in 't.csv', which has 'D', 'G'"),

@@ -197,7 +197,7 @@ def _column(value: Any, name: str, count: int) -> Array:
             raise TypeError(f"its type is {answers.dtype}")
         mask = np.ma.getmaskarray(answers)  # type: ignore[no-untyped-call]
         column = np.where(mask, np.nan, np.ma.filled(answers, 0)).astype(float)
-    except BaseException as error:  # reading a foreign object can raise anything
+    except Exception as error:  # reading a foreign object can raise anything
         raise ModelError(
             f"the model's {name!r} is not an array of numbers: {describe_error(error)}"
         ) from error

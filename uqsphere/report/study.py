@@ -116,18 +116,14 @@ def cost(study: Study) -> str:
 
     from uqsphere.models.model import Model
     from uqsphere.propagation.design import Design
-    from uqsphere.propagation.grow import first_rows, grow
+    from uqsphere.propagation.grow import first_count, first_rows, grow
     from uqsphere.propagation.verdict import judge
 
-    first = first_rows(study)
+    first = first_rows(study, first_count(study))
     budget = study.analysis.budget
     start = f"A run starts with {first:,} model runs and doubles the sample until it is accurate"
     if study.black_box:
-        each = study.analysis.cost
-        most = f"at most {budget.evaluations:,}"
-        if each is not None:
-            longest = min(each * budget.evaluations, budget.time)
-            most += f" in {longest:,.0f} s (analysis.cost, analysis.budget)"
+        most = f"at most {budget.evaluations:,} in {budget.time:,.0f} s (analysis.budget)"
         return f"{start}: {most}. A slow model gets one design of fewer runs."
     few = study.analysis.model_copy(
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
@@ -145,12 +141,13 @@ def cost(study: Study) -> str:
     took = time.monotonic() - began
     runs, error = tables.reached[-1]
     error = max(error, 1.0)
-    # the error falls with the runs n as n^(-1) to n^(-3/4)
-    needed = np.clip(runs * error ** np.array([1.0, 4.0 / 3.0]), first, budget.evaluations)
+    # the error falls with the runs n as n^(-3/4) or faster
+    needed = min(max(runs * error ** (4.0 / 3.0), first), budget.evaluations)
     seconds = took + needed * each + REPORT_SECONDS
-    total = " to ".join(dict.fromkeys(f"{float(f'{count:.3g}'):,.0f}" for count in needed))
-    lasts = " to ".join(dict.fromkeys(f"{float(f'{last:.2g}'):,g}" for last in seconds))
-    return f"{start}: about {total} in total, {lasts} s with analysis and report."
+    return (
+        f"{start}: up to about {float(f'{needed:.2g}'):,.0f} in total, "
+        f"{float(f'{seconds:.2g}'):,g} s with analysis and report."
+    )
 
 
 def listing(what: str) -> str:

@@ -25,7 +25,7 @@ from uqsphere.results.types import Decision, Results
 from uqsphere.study import Study
 
 from .figures import COLOURS, Picture, svg
-from .format import capital, plain_name, plain_probability, with_unit
+from .format import capital, plain_name, with_unit
 from .page import render
 from .sentences import DecisionText, chart_title, exceedance_name, joint_event
 from .tables import PageTable, columns
@@ -192,7 +192,7 @@ def run_on_cluster(
             if point.name in waiting and waiting[point.name].done():
                 try:
                     files = waiting.pop(point.name).result()
-                except UqsphereError:
+                except (UqsphereError, KeyboardInterrupt):
                     raise
                 except BaseException as error:  # a cancelled future of Dask is no Exception
                     raise ExecutorLost(
@@ -262,10 +262,10 @@ def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     event = ""
     for point, results, decision in _each(sweep, runs):
         event = exceedance_name(results)
-        use = DecisionText(results, decision).use
-        p = plain_probability(joint_event(decision))
+        text = DecisionText(results, decision)
         governs = plain_name(decision.governing)
-        rows.append((*point.values.values(), use, p, decision.verdict, governs))
+        told = (text.use, text.together, decision.verdict, governs)
+        rows.append((*point.values.values(), *told))
     head = (*sweep.keys, "decision", f"{event} at the plan", "verdict", "governs")
     return PageTable("Decisions", head, rows)
 
