@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,12 @@ import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import UsageError
 from uqsphere.labs.comminution import laws
-from uqsphere.labs.comminution.document import ComminutionDocument, SizesTable
+from uqsphere.labs.comminution.document import (
+    ComminutionDocument,
+    FeedTable,
+    ProductTable,
+    SizesTable,
+)
 from uqsphere.labs.comminution.feed import answer_feed, broken_by_blow, load_classes, population
 from uqsphere.labs.comminution.fit import PRIORS, EnergyModel, Fit, Posterior, fit, log_likelihoods
 from uqsphere.labs.comminution.tests import Specimens, load_tests
@@ -235,6 +242,39 @@ def test_tests_that_do_not_overlap_show_no_scatter() -> None:
     )
     (size,) = fit(specimens(0.01, energy, broke, exact=False), given).content["sizes"]
     assert 50.0 < size["breaks_half"]["value"] < 400.0
+
+
+def test_moduli_that_no_strength_has_are_refused_without_a_warning() -> None:
+    prior = {"modulus": {"log_mean": -9.0, "log_sd": 0.3}}
+    broke = np.array([True, False, True, True])
+    asked = document(tests={"law": "weibull", "prior": prior}, draws=200)
+    fitted = fit(specimens(0.02, [10.0, 30.0, 40.0, 60.0], broke), asked)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UsageError, match=r"Weibull moduli down to .*prior\.modulus"):
+            fitted.posterior.strength_csv(0.02)
+
+
+def test_every_specimen_has_one_size() -> None:
+    """Of sizes in a row, each close to the next, none is left out."""
+    tests = specimens(0.01 * 1.004 ** np.arange(8.0), 10.0)
+    (group,) = tests.sizes.values()
+    assert group.all()
+    both = specimens([0.01, 0.02, 0.01], 10.0).sizes
+    assert [group.tolist() for group in both.values()] == [
+        [True, False, True],
+        [False, True, False],
+    ]
+
+
+def test_the_page_of_the_lab_has_every_key() -> None:
+    text = (ROOT / "docs/lab-comminution.md").read_text("utf-8")
+    text += (ROOT / "studies/lab_limestone_feed.toml").read_text("utf-8")
+    own = ComminutionDocument.model_fields["tests"].annotation
+    assert own is not None
+    tables = [ComminutionDocument, own, SizesTable, FeedTable, ProductTable]
+    keys = [key for table in tables for key in table.model_fields]
+    assert [key for key in keys if not re.search(rf"\b{key}\b", text)] == []
 
 
 def test_one_break_beside_survivors_shows_no_scatter() -> None:

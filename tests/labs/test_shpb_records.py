@@ -381,7 +381,7 @@ def test_units_of_headings(heading: str, factor: float, tmp_path: Path) -> None:
     test = read(tmp_path, frame)
     check_sound(test)
     text = " ".join(change.text for change in test.changes)
-    assert "is in microstrain" in text
+    assert "is strain in με" in text
     assert f"is in {heading.rstrip(')')[-2:].strip(' (')}" in text
 
 

@@ -120,7 +120,7 @@ def _feed_text(content: dict[str, Any]) -> str:
         "energy [J/kg]": ("energy absorbed by the particles", 1.0 / 3600.0, "kWh/t"),
         "P80 [m]": ("P80", 1e3, "mm"),
         "P50 [m]": ("P50", 1e3, "mm"),
-        **{name: (name, 100.0, "%") for name in ("broken", "never broken", "t10", "fines")},
+        **{name: (name, 100.0, "%") for name in ("broken", "t10", "fines")},
     }
     rows = [("answer", "value", LEVEL_TEXT)]
     for name, number in content["numbers"].items():

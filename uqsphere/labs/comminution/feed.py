@@ -225,7 +225,6 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         if feed.fines:
             size = math.log(feed.fines)
             numbers["fines"] = np.array([np.interp(size, log_sieves, row) for row in passing])
-    numbers["never broken"] = 1.0 - total
     untested = posterior.is_untested(sizes)
 
     # --- where the numbers are extrapolated or assumed

@@ -126,19 +126,29 @@ class Posterior(NamedTuple):
         step = self.median(1.01 * diameter) / self.median(diameter / 1.01)
         return np.log(step)[:, 0] / math.log(1.01**2)
 
+    @quiet  # what is beyond floating point is refused
     def strength_csv(self, diameter: float, *, synthetic: bool = False) -> str:
         """Draws of the strength of particles of one size [m], as a study reads them.
 
         Distribution, scale, shape, bound; number of tests, and whether they are synthetic; the size
         that they hold for, the local power of the size law, and the tested sizes.
+
+        Raises UsageError for moduli so small that a strength is beyond the largest number.
         """
         median = self.median(diameter)[:, 0]
         bounded = np.array([model.law == "lognormal" for model in self.models])[self.law]
         p: dict[str, Any] = {"sigma": np.nan, "modulus": np.nan, **self.parameters}
         shape = np.where(bounded, p["sigma"], 0.6 * p["modulus"])
+        scale = np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape))
+        if not np.isfinite(scale).all():
+            raise UsageError(
+                f"the fit leaves Weibull moduli down to {np.nanmin(p['modulus']):.2g} possible, "
+                "with strengths beyond the largest number: test more, or give a larger "
+                "prior.modulus"
+            )
         columns = {
             "distribution": np.where(bounded, "lognormal", "weibull"),
-            "scale [J/kg]": np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape)),
+            "scale [J/kg]": scale,
             "shape": shape,
             "bound": bounded / self.models[0].ratio,
             "tests": self.tests,

@@ -23,8 +23,8 @@ _BROKE = {
     **dict.fromkeys(("broke", "broken", "1", "yes", "true"), True),
     **dict.fromkeys(("survived", "0", "no", "false", "stopped"), False),
 }
-#: relative difference within which two sizes in order are the same; and of a specimen from them
-_SAME, _NEAR = 0.005, 0.006
+#: relative difference within which two sizes in order are the same
+_SAME = 0.005
 _MOST_BLOWS = 10_000
 
 
@@ -62,10 +62,12 @@ class Specimens(NamedTuple):
     @property
     def sizes(self) -> dict[float, Flags]:
         """The specimens (s,) of each tested size [m], rising."""
-        logs = np.log(np.sort(self.diameter))
-        parts = np.split(logs, np.flatnonzero(np.diff(logs) > _SAME) + 1)
-        sizes = [np.exp(part.mean()) for part in parts]
-        return {size: np.abs(np.log(self.diameter / size)) < _NEAR for size in sizes}
+        logs = np.log(self.diameter)
+        ordered = np.sort(logs)
+        starts = ordered[1:][np.diff(ordered) > _SAME]
+        part = np.searchsorted(starts, logs, side="right")
+        groups = [part == k for k in range(len(starts) + 1)]
+        return {np.exp(logs[group].mean()): group for group in groups}
 
     def bounds(self, gamma: Array) -> Array:
         """(low, high] of the first fracture energy, (2, ..., s), for gamma (...); equal where it is

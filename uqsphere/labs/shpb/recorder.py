@@ -40,8 +40,6 @@ _SHORT_GAP, _FEWEST = 10, 20
 _MOST_STRAIN, _LONGEST = 0.05, 10.0
 #: largest deviation of even steps from their median; samples that may repeat the time before them
 _UNEVEN, _FEW_TWICE = 0.01, 3
-#: names of the factors of strain
-_STRAINS = {1.0: "strain", 1e-6: "microstrain"}
 
 
 # --- tables of recorders --------------------------------------------------------------------------
@@ -455,7 +453,7 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         text = "has no unit: strain is taken"
     elif dimension == "strain":
         factor = UNITS["strain"][unit]
-        text = f"is in {_STRAINS.get(factor, unit)}"
+        text = f"is strain in {unit}"
     elif dimension == "voltage":
         if not bar.excitation:
             raise UsageError(
