@@ -14,6 +14,7 @@ from uqsphere.errors import FolderError
 from uqsphere.propagation import write
 from uqsphere.report import page_files, write_page
 from uqsphere.results.folder import UNLISTED, damaged_files, read_results, write_files
+from uqsphere.results.types import Kind
 from uqsphere.study import Study
 
 ROUGH = {"mean": 0.1, "quantile": 0.5, "sobol": 0.5, "probability": 0.5}
@@ -133,6 +134,20 @@ def test_another_processor_computes_the_same_but_for_rounding(
     )
     assert main(command) == FolderError.exit_code
     assert "the answers differ" in capsys.readouterr().err
+
+
+def test_an_answer_that_appears_is_a_difference(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored = read_results(folder)
+    answers = [row for row in stored.answers if row.answer != Kind.DRIVER]
+    fewer = stored.model_copy(update={"answers": answers})
+    kept = {name: data for name, data in content(folder).items() if name not in UNLISTED}
+    write_files(folder, kept | {"results.json": fewer.to_json()})
+    (folder.parent / "m.py").write_text("def f(x):\n    return {'y': x['a'] + 2 * x['b']}\n")
+    command = ["verify", str(folder), "--again", "--model", f"{folder.parent / 'm.py'}:f"]
+    assert main(command) == FolderError.exit_code
+    assert "not in both runs: limits.high, driver" in capsys.readouterr().err
 
 
 def test_the_page_is_drawn_from_results_alone(folder: Path) -> None:

@@ -72,8 +72,7 @@ def program() -> None:
 def main(argv: Sequence[str]) -> int:
     """Run a command; returns its exit code."""
     if argv and argv[0] in LABS and find_spec("uqsphere.labs"):
-        command = import_module(f"uqsphere.labs.{argv[0]}.cli").main
-        return _guarded(lambda: command(argv[1:]))
+        return _guarded(lambda: import_module(f"uqsphere.labs.{argv[0]}.cli").main(argv[1:]))
     parser = _parser()
     if "_ARGCOMPLETE" in os.environ:  # set by the shell that asks for completions
         with contextlib.suppress(ImportError):
@@ -642,9 +641,15 @@ def _verify(options: Namespace) -> None:
     place = options.folder / "files" / "study.toml"
     after = run(load_study(place, before.results.study.overrides, text=text), options.model)
     both = [before, after], ["before", "again"]
+    rows, others = (
+        each.answers.dropna(subset="value").value_counts(["subject", "answer"]) for each in both[0]
+    )
+    apart = rows.sub(others, fill_value=0)
+    lines = [f"not in both runs: {', '.join(place)}" for place in apart[apart != 0].index[:8]]
     # on another processor, or with another version of NumPy, answers differ by rounding
-    if compare(*both)["change"].abs().max() > 1e-9:
-        raise FolderError(f"run again, the answers differ:\n{comparison_text(*both)}")
+    if lines or compare(*both)["change"].abs().max() > 1e-9:
+        told = ["run again, the answers differ:", *lines, comparison_text(*both)]
+        raise FolderError("\n".join(told))
     print("run again: the answers are the same to 1e-9")
 
 

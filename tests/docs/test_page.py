@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from uqsphere.report import page_files
+from uqsphere.report.figures import pictures_of
 from uqsphere.report.format import value
 from uqsphere.report.page import _cell, _linked
 from uqsphere.report.pictures import indices_of
-from uqsphere.report.tables import assumptions, certificate
+from uqsphere.report.tables import certificate
 from uqsphere.results.types import Results
 
 REPORTS = sorted((Path(__file__).parents[2] / "reports").glob("*/results.json"))
@@ -103,6 +104,19 @@ def test_a_figure_has_a_text_of_what_it_shows(path: Path) -> None:
     assert any(value(median, next(iter(results.study.quantities))) in text for text in texts)
 
 
+@pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
+def test_texts_of_a_density_stay_in_its_figure(path: Path) -> None:
+    """Also where the font of the page is not there: a letter has at most 7.4 of 370 points."""
+    for name, picture in pictures_of(results_of(path)).items():
+        if not name.startswith("density"):
+            continue
+        for style, x, text in re.findall(
+            r'<text style="([^"]*)" x="([\d.]+)"[^>]*>([^<]+)', picture.svg
+        ):
+            assert "text-anchor: middle" in style
+            assert 7.4 * len(text) / 2.0 < min(float(x), 370.0 - float(x)) + 22.0
+
+
 def test_inputs_of_the_sobol_chart_are_in_one_order_for_all_quantities() -> None:
     results = results_of(REPORTS[0].parents[1] / "granite" / "results.json")
     first, second = indices_of(results, ["p_max", "contact_duration"])
@@ -119,9 +133,7 @@ def test_other_assumptions_are_told_as_fracture_probabilities_where_the_sphere_m
     (decision,) = results.decisions
     assert decision.aim == "break"
     broken = 1.0 - decision.probability.value
-    table = assumptions(results)
-    assert table is not None
-    for *_, text in table.rows:
+    for *_, text in certificate(results, decision).rows:
         share = float(text.partition(" ")[0].replace("\u00a0", " ").split()[0]) / 100.0
         assert abs(share - broken) < 0.1
 

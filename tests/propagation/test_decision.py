@@ -27,6 +27,8 @@ from uqsphere.propagation.line import plan_of
 from uqsphere.propagation.tables import evaluate
 from uqsphere.propagation.verdict import aim_of, judge
 from uqsphere.report import summary
+from uqsphere.report.fragility import curves_of
+from uqsphere.report.sentences import decision_texts
 from uqsphere.results.types import Caveat, CaveatCode, Decision, Kind
 from uqsphere.study import load_study, shipped_studies
 from uqsphere.uq import Estimate, Law, make_law
@@ -501,12 +503,16 @@ def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
     assert verdicts._verdict(judged, caveats) == verdict
 
 
+LIMIT = SimpleNamespace(resistance=1.0, strength=1.0, quantity="y")
+
+
 @pytest.mark.parametrize("verdict", ["not established", "not met", "undecided"])
 def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
     judged: Any = SimpleNamespace(
-        settled=SimpleNamespace(governing=SimpleNamespace(code="tests", limit=None)),
+        settled=SimpleNamespace(governing=SimpleNamespace(code="tests", limit=LIMIT)),
         line=None,
         contradicted=False,
+        plan=SimpleNamespace(needed=lambda limit, joint: None),
         aim=SimpleNamespace(design=SimpleNamespace(subject=lambda limit: "limits.whole")),
     )
     caveats = [Caveat(code="rate", subject="limits.whole.strength")]
@@ -687,6 +693,7 @@ def test_limits_that_do_not_add_up_are_judged_each_by_itself() -> None:
     text = summary(results)
     assert "each by itself, to survive" in text
     assert "all together" not in text
+    assert [curve.name for curve in curves_of(results)] == ["a", "b"]
 
 
 def test_limits_that_pull_in_opposite_directions_leave_no_number() -> None:
@@ -701,6 +708,71 @@ def test_limits_that_pull_in_opposite_directions_leave_no_number() -> None:
 
     (decision,) = uqsphere.run(study, opposed).results.decisions
     assert decision.use is None
+    assert decision.safe_above is None
+
+
+def test_the_safe_side_is_known_without_a_number() -> None:
+    """Heavier loads are safer here, whatever the aim; nothing in the range is safe."""
+    relieved = {"high": limit("survive", 0.05, -20.0)}
+    study = Study(
+        inputs={"load": LOAD}, outputs="y", limits=relieved, margins=MARGINS, analysis=LOOSE
+    )
+    (decision,) = uqsphere.run(study, lambda x: {"y": -x["load"]}).results.decisions
+    assert decision.use is None
+    assert decision.safe_above is True
+
+
+def test_the_safety_factor_is_that_of_the_number_that_people_read() -> None:
+    study = Study(
+        inputs={"load": LOAD},
+        outputs="y",
+        limits={"a": limit("survive", 0.05, {"dist": "lognormal", "mean": 3.07, "cov": 0.2})},
+        margins=MARGINS,
+        analysis=LOOSE,
+    )
+    run = uqsphere.run(study, doubled)
+    (decision,) = run.results.decisions
+    assert decision.use is not None
+    number = float(decision_texts(run.results)[0].use.removeprefix("Use at most ").split()[0])
+    assert decision.use.safety_factor == pytest.approx(number, rel=1e-12)
+    assert f"safety factor {number:.3g}" in summary(run.results)
+    assert not any("safety" in row.answer for row in run.results.answers)
+
+
+def test_the_strength_that_the_plan_needs_keeps_the_target_and_no_more() -> None:
+    limits = {"a": limit("survive", 0.02, {"dist": "lognormal", "mean": 1.2, "cov": 0.2})}
+    (decision,) = decided(limits)
+    needed = decision.next.needed
+    assert needed is not None
+    assert needed.joint
+    assert needed.present == pytest.approx(1.2)
+    # ln(strength/load) is normal
+    total = math.hypot(SCATTER, math.sqrt(math.log1p(0.04)))
+    shift = 0.5 * (math.log1p(0.04) - SCATTER**2)
+    exact = math.exp(float(stats.norm.isf(0.02)) * total + shift)
+    assert needed.value == pytest.approx(exact, rel=0.01)
+
+
+def test_a_curve_ends_where_rows_fail_and_says_so() -> None:
+    scattered = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    study = Study(
+        inputs={"v": 2.0, "a": scattered},
+        outputs="y",
+        limits={"high": limit("survive", 0.05, 30.0)},
+        margins={"solve": "v", "between": [0.5, 4.0]},
+        analysis={"on_failure": "drop", **LOOSE},
+    )
+
+    def model(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        y = 10.0 + 7.0 * x["v"] + 2.0 * x["a"]
+        return {"y": np.where(x["v"] > 3.2, np.nan, y)}
+
+    results = uqsphere.run(study, model).results
+    assert results.decisions[0].use is not None
+    assert results.study.free is not None
+    assert 3.0 < results.study.free.high < 3.2
+    (check,) = [check for check in results.checks if check.name == "short_curve"]
+    assert "too many model runs fail" in check.text
 
 
 @pytest.mark.parametrize("runs", [400, 10**6])

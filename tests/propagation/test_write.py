@@ -11,6 +11,7 @@ from scipy import stats
 from tables_of import tables_of
 
 from uqsphere.propagation.design import Design
+from uqsphere.propagation.tables import Tables
 from uqsphere.propagation.write import cells_of, free_number_of, results_of, samples_of
 from uqsphere.results.answers import answers_csv, csv_text, frame_of
 from uqsphere.results.types import Answer, Kind
@@ -112,4 +113,5 @@ def test_the_free_number_is_called_by_its_name_without_the_definition(tmp_path):
         strength_is = "hertz"
         """
     design = Design.of(load_study(tmp_path / "study.toml", text=text))
-    assert free_number_of(design).meaning == "gain of a measured pulse"
+    tables = Tables(design=design, sample=design.points(2))
+    assert free_number_of(tables).meaning == "gain of a measured pulse"

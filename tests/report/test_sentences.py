@@ -1,12 +1,20 @@
 """Sentences of a decision, on decisions made by hand: values and codes in, words out."""
 
+import math
 from pathlib import Path
 
 import pytest
 
+from uqsphere.quantities import round_conservative
 from uqsphere.report import summary
-from uqsphere.report.sentences import STOPPED, DecisionText, all_modes, doubt_text
-from uqsphere.report.tables import indices, limits
+from uqsphere.report.sentences import (
+    STOPPED,
+    DecisionText,
+    all_modes,
+    doubt_text,
+    probability_at_target,
+)
+from uqsphere.report.tables import certificate, indices, limits
 from uqsphere.results.types import (
     Caveat,
     CheckEntry,
@@ -14,6 +22,7 @@ from uqsphere.results.types import (
     DependenceEntry,
     Doubt,
     LibraryRange,
+    NeededStrength,
     Range,
     Remedy,
     Results,
@@ -29,12 +38,13 @@ def granite() -> Results:
 
 
 def used(value: float, *, least: bool = False, planned: float = 0.5) -> Use:
+    rounded, _ = round_conservative(value, "striker.speed", safe_above=least, planned=planned)
     return Use(
         path="striker.speed",
         value=value,
         safe_end="smallest" if least else "largest",
         planned=planned,
-        safety_factor=None,
+        safety_factor=planned / rounded if least else rounded / planned,
         best=Range(value=value),
     )
 
@@ -99,7 +109,12 @@ def test_the_probability_by_what_governs_comes_first(granite: Results) -> None:
 
 
 def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Results) -> None:
-    library = LibraryRange(mode="core tension", middle=0.122, weak=0.064, strong=0.27)
+    library = LibraryRange(
+        mode="core tension",
+        weak=0.064,
+        strong=0.27,
+        mean_strengths=(5e6, 15e6),
+    )
     own = Doubt(
         code="tie",
         subject="limits.crushing",
@@ -122,14 +137,11 @@ def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Res
     )
     assert text.use == "Use at most 0.12 m/s"
     assert "no margin" in text.sentence
-    assert "(its weak end: 0.064 m/s, its strong end: 0.27 m/s)" in text.sentence
+    assert "(weak 5 MPa: 0.064 m/s; strong 15 MPa: 0.27 m/s)" in text.sentence
     assert "By your own limits: at most 0.65 m/s (strength independent of the inputs)." in (
         text.sentence
     )
-    assert (
-        "97 % with all failure modes, 0.2 % by your own limits as computed (0.8 %: strength "
-        "independent of the inputs)"
-    ) in text.broken
+    assert "97 % with all failure modes, 0.2 % by your own limits. " in text.broken
     assert len(f"{text.use}. {text.sentence}".split()) <= 45
     assert text.open == ["core tension rests on a strength of the library, not of this rock"]
     assert text.next.startswith("Measure the tensile strength (core tension)")
@@ -212,6 +224,7 @@ def test_both_clauses_of_a_decision_to_break_say_how_many_break(granite: Results
             aim="break",
             target=0.05,
             use=used(0.213, least=True),
+            safe_above=True,
             probability=Range(value=0.0, low=0.0, high=7.32e-4),
         ),
     )
@@ -295,7 +308,7 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
     alone = results.model_copy(update={"study": results.study.model_copy(update={"modes": {}})})
     table = limits(alone)
     assert table is not None
-    assert table.rows[0][4:6] == ("0.4 m/s", "0.404 to 0.660 m/s")
+    assert table.rows[0][4:6] == ("0.4 m/s", "0.4 m/s to 0.66 m/s")
 
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:
@@ -335,3 +348,49 @@ def test_tied_inputs_are_the_reason_for_no_indices(granite: Results) -> None:
         results = granite.model_copy(update={"study": study, "answers": rows})
         assert "tied inputs" in indices(results).rows[0][0]
         assert "tied inputs" in summary(results)
+
+
+def test_a_probability_that_reads_as_its_target_tells_its_side(granite: Results) -> None:
+    assert probability_at_target("survive", Range(value=0.01004), 0.01) == "just above 1 %"
+    assert probability_at_target("survive", Range(value=0.00996), 0.01) == "just below 1 %"
+    assert probability_at_target("break", Range(value=0.0502), 0.05) == "just below 95 %"
+    assert probability_at_target("survive", Range(value=0.01), 0.01) == "1 %"
+    text = DecisionText(granite, decision(all_modes=Range(value=0.01003))).broken
+    assert "just above 1 % with all failure modes" in text
+
+
+def test_numbers_of_the_certificate_are_rounded_as_the_one_to_use(granite: Results) -> None:
+    (row,) = [row for row in granite.decisions[0].doubts if row.governs]
+    shown = [cells[1] for cells in certificate(granite, granite.decisions[0]).rows]
+    number = DecisionText(granite, granite.decisions[0]).number(row.margin)
+    assert f"Use at most {number}" == DecisionText(granite, granite.decisions[0]).use
+    assert number in shown
+
+
+def test_a_decision_without_a_free_number_has_its_certificate(granite: Results) -> None:
+    study = granite.study.model_copy(update={"free": None})
+    table = certificate(granite.model_copy(update={"study": study}), granite.decisions[0])
+    assert {len(cells) for cells in table.rows} == {len(table.head)} == {2}
+
+
+def test_a_curve_that_turns_back_is_not_outside_the_range(granite: Results) -> None:
+    rows = []
+    for row in granite.answers:
+        if row.subject == "limits.crushing" and row.answer == "margin":
+            row = row.model_copy(update={"value": None})
+        if row.subject == "limits.crushing" and row.answer == "curve":
+            far = math.log(float(row.at) / 0.5) ** 2
+            row = row.model_copy(update={"value": min(far, 1.0)})
+        rows.append(row)
+    table = limits(granite.model_copy(update={"answers": rows}))
+    assert table.rows[0][3] == "several values"
+
+
+def test_the_strength_that_the_plan_needs_is_told(granite: Results) -> None:
+    needed = NeededStrength(quantity="p_max", value=4.41e9, present=4e9, joint=True)
+    remedy = Remedy(code="test more", subject="limits.crushing", needed=needed)
+    text = DecisionText(granite, decision(next=remedy)).next
+    assert text.endswith("The plan needs a mean strength of 4.5 GPa or more (here 4 GPa).")
+    itself = needed.model_copy(update={"joint": False})
+    text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": itself}))).next
+    assert text.endswith("(here 4 GPa), other modes aside.")

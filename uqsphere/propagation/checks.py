@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
-from uqsphere.quantities import format_probability
+from uqsphere.quantities import format_probability, format_together
 from uqsphere.results.types import Caveat, CheckEntry, Grade
 from uqsphere.study import Limit
 from uqsphere.study.values import FARTHEST_SIZE
@@ -82,6 +82,16 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             text=f"{format_probability(failed)} of the model runs failed",
             effect=effect,
         )
+    margins = design.study.moving
+    if margins is not None and tables.line:
+        low, *_, high = tables.line
+        if not np.allclose((low, high), margins.between, rtol=1e-9):
+            first, last = format_together((low, high), design.free_quantity)
+            yield Check(
+                name="short_curve",
+                grade="warning",
+                text=f"the curve goes from {first} to {last}: beyond, too many model runs fail",
+            )
     if isinstance(tables, Slow):
         n = tables.runs
         yield Check(
@@ -90,7 +100,6 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
             effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
         )
-        margins = design.study.moving
         if margins is not None and not tables.line:
             yield Check(
                 name="no_margin",

@@ -34,6 +34,8 @@ from .tables import Compared
 
 #: strengths that tests allow
 LAWS = 400
+#: factor on a strength, or its inverse, up to which the one that a plan needs is looked for
+_STRONGER = 100.0
 #: rows that carry a probability, below which their count bounds it, and at least at a number
 FEW, FEWEST = 20.0, 5.0
 
@@ -300,10 +302,15 @@ class Curves:
         return np.asarray(self.base(limit)[1].mean(axis=1))
 
     @cached_property
+    def rises(self) -> Array:
+        """How much more each limit is exceeded at the last value than at the first (L,)."""
+        exceeded = np.array([self.base(limit)[0].mean(axis=1) for limit in self.aim.limits])
+        return np.asarray(exceeded[:, -1] - exceeded[:, 0])
+
+    @property
     def safe_above(self) -> bool:
         """Whether larger values are safe, for all limits together: "use at least"."""
-        exceeded = np.sum([self.base(limit)[0] for limit in self.aim.limits], axis=(0, 2))
-        return bool((exceeded[-1] >= exceeded[0]) != self.aim.survive)
+        return bool((self.rises.sum() >= 0.0) != self.aim.survive)
 
     def margin(self, limit: Limit, curve: Array) -> float | None:
         """The value of the free number at which a curve (K,) of a limit misses its target, seen
@@ -330,6 +337,27 @@ class Curves:
             # between the two the curve may jump
             return float(self.line.values[k - 1 + self.safe_above])
         return float(self.line.value_at(brentq(excess, low, high)))
+
+    def needed(self, limit: Limit, *, joint: bool) -> float | None:
+        """What the strength of a limit must be multiplied by to just keep its target at the first
+        value, by itself or with the other failure modes; None where no factor does.
+        """
+        from scipy.optimize import brentq
+
+        state = self.line.state(limit)
+        others = Others()
+        if joint:
+            others = self.others.get(limit.name, others)
+
+        def excess(log_factor: float) -> float:
+            stronger = replace(state, demands=state.demands * math.exp(-log_factor))
+            exceeded = self.line.means(others.or_any(exceedance(stronger, self.aim.survive)))
+            return float(score(exceeded[0].mean()) - score(limit.allowable))
+
+        most = math.log(_STRONGER)
+        if excess(-most) * excess(most) >= 0.0:
+            return None
+        return math.exp(brentq(excess, -most, most, xtol=1e-4))
 
     def by_strengths(
         self, limit: Limit, laws: Sequence[Law | float] = (), *, tied: bool = True

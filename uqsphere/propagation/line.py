@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from uqsphere.arrays import Array, Places, Values, bundle, frozen, special
-from uqsphere.errors import StudyError
+from uqsphere.errors import StudyError, TooManyFailures
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
@@ -206,6 +206,9 @@ def evaluated_at(
 ) -> Mapping[float, Sample]:
     """Rows at values of the free number, with at least `counts` of a replicate at some of them;
     rows that exist are continued.  All are evaluated at once.
+
+    Values at an end of the range where too many rows fail are left out; TooManyFailures where
+    others answer on both sides, or fewer than two do.
     """
     margins = design.study.margins
     parts = {}
@@ -221,17 +224,25 @@ def evaluated_at(
             parts[value] = points
     if not parts:
         return before
-    rows = evaluate(design, model, Sample.join(*parts.values()))
+    rows = evaluate(design, model, Sample.join(*parts.values()), part=True)
     samples = dict(before)
+    failing = dict[float, TooManyFailures]()
     end = 0
     for value, part in parts.items():
         added = rows.where(slice(end, end + part.count))
-        check_failures(design, added.status.ravel(), f"at {value:g} of the free number")
         end += part.count
         if value in before:
             added = before[value].join(added)
         samples[value] = added
-    return dict(sorted(samples.items()))
+        try:
+            check_failures(design, added.status.ravel(), f"at {value:g} of the free number")
+        except TooManyFailures as error:
+            failing[value] = error
+    answering = {value: samples[value] for value in sorted(samples.keys() - failing.keys())}
+    for value, failure in failing.items():
+        if len(answering) < 2 or min(answering) < value < max(answering):
+            raise failure
+    return answering
 
 
 def refined(line: Line, model: Model, counts: Mapping[float, int]) -> Line:

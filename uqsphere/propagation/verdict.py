@@ -12,7 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array, bundle
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.quantities import lookup
+from uqsphere.quantities import round_conservative
 from uqsphere.results import types
 from uqsphere.results.answers import Rows, number_row
 from uqsphere.results.types import (
@@ -23,6 +23,7 @@ from uqsphere.results.types import (
     DoubtCode,
     LibraryRange,
     MarginNote,
+    NeededStrength,
     Range,
     Remedy,
     RemedyCode,
@@ -37,6 +38,7 @@ from uqsphere.uq.estimate import SURE, spread
 from .checks import Check, caveats_of
 from .decision import Settled, settled_accurately
 from .design import Design, number_of_tests
+from .design import number as mean_of
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import means_fracture
 from .limits import failure
@@ -240,14 +242,18 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
             target = governing.limit.target
     blocked_by = ""
     curve = []
+    safe_above = None
     if judged.line is not None:
+        opposed = settled.rises.min() < 0.0 < settled.rises.max()
+        if settled.number is not None or not opposed:
+            safe_above = settled.safe_above
         if settled.number is None or judged.contradicted:
             blocked_by = subject
         if not judged.contradicted:
             own = _own(judged)
         points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
-    if aim.modes:
+    if aim.modes and settled.adds_up(lead):
         all_modes = _range(judged.all_modes[lead.name])
     return Decision(
         aim=aim.word,
@@ -259,6 +265,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         use=_use(judged, library),
         blocked_by=blocked_by,
         own=own,
+        safe_above=safe_above,
         probability=_range(judged.probability[lead.name]),
         all_modes=all_modes,
         curve=curve,
@@ -281,14 +288,21 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     settled = judged.settled
     free = judged.aim.design.study.margins
     number = settled.use
-    planned = judged.aim.design.planned
+    design = judged.aim.design
+    planned = design.planned
     factor = None
     if number is None or free is None or judged.contradicted:
         return None
     if planned is not None and number > 0.0 and planned > 0.0:
-        factor = number / planned
+        # of the number that people read, so that both agree
+        rounded, _ = round_conservative(
+            number, design.free_quantity, safe_above=settled.safe_above, planned=planned
+        )
+        factor = rounded / planned
         if settled.safe_above:
-            factor = planned / number
+            factor = planned / rounded
+        if settled.is_safe(planned, number):
+            factor = max(factor, 1.0)
     best = settled.best_estimate
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
     if library is not None:
@@ -343,7 +357,12 @@ def _library(judged: Judged) -> LibraryRange | None:
         taken = replace(rest, modes=(*rest.modes, other))
         numbers.append(replace(settled, aim=taken).number)
     weak, strong = numbers
-    return LibraryRange(mode=mode.called, middle=settled.number, weak=weak, strong=strong)
+    return LibraryRange(
+        mode=mode.called,
+        weak=weak,
+        strong=strong,
+        mean_strengths=(mode.weak.mean(), mode.strong.mean()),
+    )
 
 
 # --- the certificate ------------------------------------------------------------------------------
@@ -392,6 +411,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         margin_note=note,
         at_number=Range(value=at_number),
         at_plan=Range(value=at_plan),
+        sets=doubt.key == settled.setting.key,
         governs=doubt.key == settled.governing.key,
         counts=code != "assumed strength" or limit in [mode.limit for mode in aim.modes],
         joint=code != "assumed strength" and settled.adds_up(limit),
@@ -508,7 +528,25 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
-    return Remedy(code=remedy, subject=subject, at_best=at_best, gains=gains)
+    needed = _needed(judged, deciding.limit)
+    return Remedy(code=remedy, subject=subject, at_best=at_best, needed=needed, gains=gains)
+
+
+def _needed(judged: Judged, limit: Limit) -> NeededStrength | None:
+    """The strength of a limit that the plan needs: with the other failure modes, else by itself."""
+    plan = judged.plan
+    strength = limit.resistance
+    quantity = limit.quantity
+    if strength is not limit.strength:  # the force of its tests
+        quantity = "P_max"
+    for joint in (True, False):
+        factor = plan.needed(limit, joint=joint)
+        if factor is not None:
+            present = mean_of(strength)
+            return NeededStrength(
+                quantity=quantity, value=factor * present, present=present, joint=joint
+            )
+    return None
 
 
 def _disagreeing(judged: Judged) -> Doubt:
@@ -534,9 +572,7 @@ _TEXTS = {
 
 
 def assumed_answers(judged: Sequence[Judged]) -> Rows:
-    """Failure probabilities at the plan, and margins, with something taken otherwise, each limit by
-    itself.
-    """
+    """Failure probabilities at the plan with something taken otherwise, each limit by itself."""
     for aim in judged:
         for doubt in aim.plan.doubts:
             if doubt.code in _TEXTS or doubt.opposite is not None:
@@ -553,9 +589,7 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
     if doubt.opposite is None:
         name = doubt.detail.replace("weibull", "Weibull")
         at = "assumed: " + _TEXTS[doubt.code].format(name)
-        if doubt.code == "contact law" and len(doubt.laws) > 1:
-            at += f", what the tests leave open ({name})"
-        elif doubt.code == "contact law" and name:
+        if doubt.code == "contact law" and name:
             at += f", {name} strength"
         value = limit.missed(doubt.single[0])
     else:
@@ -580,15 +614,3 @@ def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
         method="epistemic",
         note=note,
     )
-    margin = judged.along(doubt)
-    if margin is not None and math.isfinite(margin):
-        yield number_row(
-            subject,
-            "margin",
-            at,
-            margin,
-            unit=lookup(aim.design.free_quantity).unit,
-            runs=judged.settled.line.rows.size,
-            method="epistemic",
-            note="conservative end, with the other failure modes",
-        )

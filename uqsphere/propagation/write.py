@@ -1,10 +1,9 @@
 """What is kept of a run: results.json, the tables, and the page."""
 
 import contextlib
-import itertools
 import math
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from uqsphere.results.types import (
     AccuracyEntry,
     Answer,
     CheckEntry,
-    CorrelationEntry,
     Decision,
     DependenceEntry,
     FreeNumber,
@@ -51,8 +49,6 @@ from .tables import Slow, Tables
 MOST_ROWS = 16_384
 #: model runs that an expansion is compared with
 MOST_HELD_OUT = 160
-#: quantities whose correlation is stored, in pairs
-MOST_CORRELATED = 4
 PACKAGES = [
     "numpy",
     "scipy",
@@ -83,7 +79,7 @@ def results_of(
             kind="black box" if study.black_box else study.rig,
             seed=study.seed,
             description=_description(design),
-            free=free_number_of(design),
+            free=free_number_of(tables),
             overrides=list(study.overrides),
             warnings=list(study.warnings),
             quantities={name: _quantity(tables, name) for name in design.described},
@@ -107,7 +103,6 @@ def results_of(
             },
             not_judged=design.not_judged,
             dependence=[_dependence(tie) for tie in study.dependence],
-            correlations=[*_correlations(tables)],
         ),
         inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
         answers=answers,
@@ -138,8 +133,7 @@ def _description(design: Design) -> list[str]:
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
         size = f"{2e3 * study.at_means()['sphere.radius']:.3g} mm"
         scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
-        rock = f"{rock[:1].upper()}{rock[1:]}"
-        first = f"{rock}, {size}, {RIGS[study.rig].title}; random inputs: {scatter}"
+        first = f"{rock.capitalize()}, {size}, {RIGS[study.rig].title}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
         text = f"{limit.name}: {_strength_text(limit)}"
@@ -152,12 +146,13 @@ def _description(design: Design) -> list[str]:
     return [first, "Strength " + "; ".join(strengths)]
 
 
-def free_number_of(design: Design) -> FreeNumber | None:
+def free_number_of(tables: Tables) -> FreeNumber | None:
     """The free number of a study's margins, as the results have it."""
+    design = tables.design
     margins = design.study.margins
     if margins is None:
         return None
-    low, high = margins.between
+    low, *_, high = tables.line or margins.between
     meaning = lookup(margins.solve).called
     if margins.limit is not None:
         meaning = f"strength of {margins.limit}"
@@ -213,16 +208,6 @@ def _some(outputs: Array, predicted: Array) -> list[list[float]]:
     return [[float(f"{number:.5g}") for number in row] for row in chosen]
 
 
-def _correlations(tables: Tables) -> Iterator[CorrelationEntry]:
-    """Correlation of the quantities of interest, in pairs."""
-    names = tables.design.study.analysis.quantities[:MOST_CORRELATED]
-    for first, second in itertools.combinations(names, 2):
-        columns = np.stack([tables.sample.answer(name).ravel() for name in (first, second)])
-        columns = columns[:, np.isfinite(columns).all(axis=0)]
-        if columns.shape[1] > 1 and (np.ptp(columns, axis=1) > 0.0).all():
-            yield CorrelationEntry(of=[first, second], value=np.corrcoef(columns)[0, 1])
-
-
 def _limit(limit: Limit, **origin: Any) -> LimitEntry:
     """A limit with the `origin` of its strength."""
     tested = limit.tested
@@ -265,21 +250,20 @@ def _test_points(tables: Tables, limit: Limit) -> list[list[float]] | None:
     Meier, in the middle of its step.  Tests beyond the range of the free number are left out.  None
     for a strength without tests, and without [margins].
     """
+    from scipy.stats import CensoredData, ecdf
+
     law = limit.resistance
     if not isinstance(law, Law) or not law.data or len(tables.line) < 2:
         return None
     strengths = np.array([*law.data, *law.censored])
     stopped = np.arange(len(strengths)) >= len(law.data)
+    held = ecdf(CensoredData(uncensored=law.data, right=law.censored)).sf
     demands = np.array([np.nanmedian(demands_of(limit, rows)) for rows in tables.line.values()])
     if not (np.isfinite(demands).all() and (np.diff(demands) > 0.0).all() and demands[0] > 0.0):
         return None
-    order = np.lexsort((stopped, strengths))
-    stopped = stopped[order]
-    along = np.interp(np.log(strengths[order]), np.log(demands), [*tables.line], np.nan, np.nan)
-    # the estimate of Kaplan and Meier
-    left = len(stopped) - np.arange(len(stopped))
-    survival = np.cumprod(np.where(stopped, 1.0, 1.0 - 1.0 / left))
-    shares = 1.0 - 0.5 * (np.append(1.0, survival[:-1]) + survival)
+    along = np.interp(np.log(strengths), np.log(demands), [*tables.line], np.nan, np.nan)
+    before = np.nextafter(strengths, -np.inf)
+    shares = 1.0 - 0.5 * (held.evaluate(before) + held.evaluate(strengths))
     points = np.array([along, shares, stopped])
     shown: list[list[float]] = points[:, np.isfinite(along)].tolist()
     if not shown[0]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, special
 from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
 
@@ -98,7 +98,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
             x, p, *_ = _ends(results.where(subject, Kind.CURVE))
             curves.append(Curve(label(subject), x, p, *look, estimate))
     for decision in results.decisions:
-        if limit is None and decision.aim == "survive" and decision.curve:
+        if limit is None and decision.adds_up and decision.curve:
             x, p, *_ = _ends(decision.curve)
             curves.append(Curve(all_modes(decision), x, p, INK, JOINT, joint_event(decision)))
     return curves
@@ -234,26 +234,14 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
         x, _, low, high = _ends(decision.band)
         if decision.aim == "break":
             low, high = 1.0 - high, 1.0 - low
-        drawn = np.isfinite(low) & np.isfinite(high) & _inside(low, high)
-        edges = special.ndtri(np.clip((low[drawn], high[drawn]), 1e-9, 1.0 - 1e-9))
-        axes.fill_between(x[drawn] * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
+        edges = special.ndtri(np.clip((low, high), 1e-9, 1.0 - 1e-9))
+        axes.fill_between(x * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
         at, shares, stopped = np.array(limits[tested[0]].test_points or np.empty((3, 0)))
         y = special.ndtri(np.clip(shares, LOWEST, HIGHEST))
         for kind, marker, fill in ((0.0, "o", colour), (1.0, ">", "white")):
             chosen = stopped == kind
             axes.plot(at[chosen] * factor, y[chosen], marker, ms=5, mec=colour, mfc=fill, zorder=5)
         return
-
-
-def _inside(low: Array, high: Array) -> Flags:
-    """Where a band is to be drawn: no point whose ends fall back, and behind the upper edge of the
-    frame only as long as the lower end rises.
-    """
-    if high[-1] < high[0]:
-        return _inside(low[::-1], high[::-1])[::-1]
-    before = np.concatenate([[0.0], np.maximum.accumulate(low)[:-1]])
-    rises = high >= np.maximum.accumulate(high)
-    return rises & ((high < HIGHEST) | ((low > before) & (low < HIGHEST)))
 
 
 def _draw_mark(axes: Axes, decision: Decision, factor: float) -> float:

@@ -30,13 +30,14 @@ from uqsphere.models.model import announce_compilation
 from uqsphere.models.scene import evaluate_scene, paper_lines, scene_of
 from uqsphere.quantities import format_value, lookup
 from uqsphere.results.folder import write_files
+from uqsphere.results.types import PaperRow
 from uqsphere.study import Study
 
 from .figures import COLOURS, Picture, svg
 from .format import capital
 from .page import render
 from .pictures import GREY
-from .tables import PageTable
+from .tables import PageTable, paper_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,9 +56,7 @@ class Course(History):
 
     def _repr_html_(self) -> str:
         """What a person asks of the scene, and its figures."""
-        title = "One impact, every number at its mean"
-        if self.values:
-            title = "One impact at the numbers that were given, all others at their mean"
+        title = "One impact, every number at its mean or as given"
         table = PageTable(title, ("", "value"), history_rows(self))
         pictures = dict(_pictures(self))
         return render("notebook.html", title=self.study.title, tables=[table], pictures=pictures)
@@ -155,13 +154,9 @@ def _rows(course: Course) -> Iterator[tuple[str, str]]:
                 span = f"{_when(waves.begin)} to {_when(waves.end)}"
                 text = f"{waves.first} and {waves.second}, {span}"
                 yield f"waves overlap at the gauge {record.name}", text
-    for line in paper_lines(study):
-        corrected = "no value"
-        if math.isfinite(line.corrected):
-            corrected = f"{line.corrected:.4g} {line.unit}".rstrip()
-        printed = f"{line.printed:.4g} {line.unit}".rstrip()
-        text = f"printed {printed}, corrected {corrected} ({line.note})"
-        yield f"paper: {line.name}", text
+    paper = (PaperRow(**line._asdict()) for line in paper_lines(study))
+    for name, printed, corrected, note in paper_rows(paper):
+        yield f"paper: {name}", f"printed {printed}, corrected {corrected} ({note})"
     yield "end of the evaluation window", _when(course.record_end)
     yield "end of the time series", _when(course.horizon)
 

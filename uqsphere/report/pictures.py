@@ -100,7 +100,8 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     axes.plot(x, y, color=BLUE, linewidth=1.6)
     low, high = x[[0, -1]]
     peak = y.max()
-    names = list[tuple[float, float, str]]()
+    #: place, height, offset and text of what is named
+    names = list[tuple[float, float, float, str]]()
     for name, limit in results.study.limits.items():
         if limit.quantity == quantity and limit.strength.density and len(names) < MOST_STRENGTHS:
             places, heights = np.array(limit.strength.density, dtype=float) * scale
@@ -108,26 +109,29 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             heights *= min(1.0, peak / heights.max())
             axes.plot(places, heights, "--", color=RED, linewidth=1.4)
             top = heights.argmax()
-            names.append((places[top], heights[top], f"strength, {name}"))
+            offset = 9.0 + 14.0 * len(names)
+            names.append((places[top], heights[top], offset, f"strength, {name}"))
             low = min(low, places[0])
             high = max(high, places[-1])
     if entry.onset is not None:
         onset = entry.onset * factor
         above = x >= onset
-        share = np.trapezoid(y[above], x[above])
-        for check in results.checks:
-            if check.name == "dented":
-                share = check.share
-        words = f"softer body yields from {onset:.3g} {unit}: {_in_impacts(share)}"
-        low, high = _mark_onset(axes, onset, words, low, high)
+        shares = [check.share for check in results.checks if check.name == "dented"]
+        share = (*shares, np.trapezoid(y[above], x[above]))[0]
+        low, high, effect = _mark_onset(axes, onset, low, high)
+        words = (
+            f"softer body yields from {onset:.3g} {unit}",
+            f"in {format_probability(share)} of impacts{effect}",
+        )
+        names += [(onset, 1.35 * peak, -10.0 - 14.0 * k, text) for k, text in enumerate(words)]
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])
     axes.spines["left"].set_visible(False)
     axes.grid(visible=False)
     letter = LETTER * axes.figure.dpi / 72.0 / axes.get_window_extent().width * (high - low)
-    for row, (place, height, text) in enumerate(sorted(names)):
+    for place, height, offset, text in names:
         half = 0.5 * letter * len(text)
         inside = max(min(place, high - half), low + half)
-        write(axes, text, (inside, height), (0.0, 9.0 + 14.0 * row), color=RED, ha="center")
+        write(axes, text, (inside, height), (0.0, offset), color=RED, ha="center")
     texts = [text.removesuffix(f" {unit}") for text in quantile_texts(entry, quantity)]
     ends = np.array(entry.range, dtype=float) * factor
     widths = [letter * (max(len(text), 4) + 1.5) for text in texts]
@@ -143,32 +147,15 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
         write(axes, name, (place, 0.0), (0.0, -26.0), ha="center", color=GREY)
 
 
-def _in_impacts(share: float) -> str:
-    """In how many impacts something happens."""
-    if share > 0.999:
-        return "in all impacts"
-    if share < 0.001:
-        return "in no impact"
-    return f"in {format_probability(share)} of impacts"
-
-
-def _mark_onset(
-    axes: Axes, place: float, text: str, low: float, high: float
-) -> tuple[float, float]:
-    """Mark where a contact starts to yield, in the frame or off its scale; the frame's ends."""
+def _mark_onset(axes: Axes, place: float, low: float, high: float) -> tuple[float, float, str]:
+    """Mark where a contact starts to yield, below its text; the frame's ends, and what is to be
+    said of a place off the scale.
+    """
     span = high - low
-    if low - span < place < high + span:
-        low = min(low, place - 0.05 * span)
-        high = max(high, place + 0.05 * span)
-        axes.axvline(place, color=RED, linewidth=1.2, linestyle="--")
-    else:
-        text += " (off the scale)"
-    side, gap = "left", 6.0
-    if place > 0.5 * (low + high):
-        side, gap = "right", -6.0
-    at = (np.clip(place, low, high), 1.0)
-    write(axes, text, at, (gap, -10.0), ("data", "axes fraction"), color=RED, ha=side)
-    return low, high
+    if not low - span < place < high + span:
+        return low, high, " (off the scale)"
+    axes.axvline(place, ymax=0.76, color=RED, linewidth=1.2, linestyle="--")
+    return min(low, place - 0.05 * span), max(high, place + 0.05 * span), ""
 
 
 # --- indices --------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from uqsphere.results.types import (
     Doubt,
     FreeNumber,
     Kind,
+    NeededStrength,
     Range,
     Results,
     Shortfall,
@@ -64,7 +65,7 @@ class DecisionText:
         self.results, self.decision = results, decision
         self.aim = f"To {decision.aim}"
         self._free = results.study.free
-        self._safe_above = decision.safe_above
+        self._safe_above = bool(decision.safe_above)
         #: the doubt that sets the number to use
         self._governing = [doubt for doubt in decision.doubts if doubt.governs]
 
@@ -88,7 +89,7 @@ class DecisionText:
                 return f"{text} ({free.meaning})"
             return text
         if free is None or self.decision.target is None:
-            return f"{capital(self._event)} {plain_probability(joint_event(self.decision))}"
+            return f"{capital(self._event)} {self.together}"
         if self._kept_everywhere:
             return f"Use any value between {self._ends}"
         return "No value to use"
@@ -128,35 +129,30 @@ class DecisionText:
         text = capital(self._event)
         if self._free is not None and self._free.planned is not None:
             text += " at the planned value"
-        by_study = as_event(decision.aim, decision.probability)
-        together = plain_probability(joint_event(decision))
-        alone = plain_probability(by_study)
+        together = self.together
+        alone = self._probability(decision.probability)
         text += ": "
         computed = (decision.all_modes or decision.probability).value or 0.0
         for doubt in self._governing:
-            governing = plain_probability(as_event(decision.aim, doubt.at_plan))
+            governing = self._probability(doubt.at_plan)
             worse = (doubt.at_plan.value or 0.0) > computed
             open_ends = doubt.code not in ("computation", "assumed strength")
             if open_ends and worse and governing != together:
                 text += f"{governing} {_words(doubt)[0]}; as computed, "
         if decision.all_modes is None:
-            text += probability(by_study)
+            text += probability(as_event(decision.aim, decision.probability))
         elif together == alone:
             text += f"{alone}, by your own limits and with {all_modes(decision)}"
         else:
             text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
-            own = decision.own
-            governs = [(doubt.subject, doubt.code) for doubt in self._governing]
-            if own is not None and (own.subject, own.code) not in governs:
-                at_plan = plain_probability(as_event(decision.aim, own.at_plan))
-                over = (own.at_plan.value or 0.0) > own.target
-                if over and decision.aim == "survive" and self._target.endswith(f" {at_plan}"):
-                    at_plan = f"above {at_plan}"
-                if own.code != "computation" and at_plan != alone:
-                    text += f" as computed ({at_plan}: {_words(own)[1]})"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self._target}."
+
+    @property
+    def together(self) -> str:
+        """The probability at the plan by all that adds up."""
+        return self._probability(self.decision.all_modes or self.decision.probability)
 
     @property
     def next(self) -> str:
@@ -175,8 +171,6 @@ class DecisionText:
                     )
         if remedy.code == "widen the range" and self._kept_everywhere:
             return "Widen margins.between to find where the target is missed."
-        if remedy.code == "widen the range" and decision.aim == "break":
-            return "Widen margins.between, or increase the demand."
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
         text = _REMEDIES[remedy.code].format(
@@ -186,12 +180,25 @@ class DecisionText:
         )
         if remedy.gains:
             gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
-            return f"{text}. The number to use would be about: {'; '.join(gains)}."
-        if remedy.at_best is not None:
+            text += f". The number to use would be about: {'; '.join(gains)}"
+        elif remedy.at_best is not None:
             text += f"; the number to use would then be {self.number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
                 text += f", if {subject} never fails"
+        if remedy.needed is not None:
+            text += f". {self._needed(remedy.needed)}"
         return f"{text}."
+
+    def _needed(self, needed: NeededStrength) -> str:
+        """The strength that the planned value needs, to be compared with a data sheet."""
+        survive = self.decision.aim == "survive"
+        _, least = round_conservative(
+            needed.value, needed.quantity, safe_above=survive, planned=needed.present
+        )
+        side = "more" if survive else "less"
+        present = value(needed.present, needed.quantity)
+        text = f"The plan needs a mean strength of {least} or {side} (here {present})"
+        return text if needed.joint else f"{text}, other modes aside"
 
     @property
     def open(self) -> list[str]:
@@ -208,6 +215,11 @@ class DecisionText:
         return round_conservative(
             x, free.quantity, safe_above=self._safe_above, planned=free.planned
         )[1]
+
+    def _probability(self, p: Estimated) -> str:
+        """A failure probability as that of the event."""
+        decision = self.decision
+        return probability_at_target(decision.aim, p, decision.target)
 
     def _allowed(self, x: float) -> str:
         return f"at {'least' if self._safe_above else 'most'} {self.number(x)}"
@@ -234,20 +246,12 @@ class DecisionText:
         if planned is None:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.quantity)}"
-        if use is not None and use.value > 0.0 and planned > 0.0:
-            used, _ = round_conservative(
-                use.value, free.quantity, safe_above=self._safe_above, planned=planned
-            )
-            factor = used / planned
-            beyond = planned > use.value
-            if self._safe_above:
-                factor = 1.0 / factor
-                beyond = planned < use.value
+        if use is not None and use.safety_factor is not None:
             unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
-            if beyond:
+            if use.safety_factor < 1.0:
                 text += ", no margin"
             elif not unsafe:
-                text += f", safety factor {max(factor, 1.0):.3g}"
+                text += f", safety factor {use.safety_factor:.3g}"
         return f"{text}."
 
     @property
@@ -258,9 +262,11 @@ class DecisionText:
         if library is not None:
             text += ", with a strength of the library"
             if library.weak is not None and library.strong is not None:
+                quantity = self.results.study.modes[library.mode].quantity
+                low, high = (value(x, quantity) for x in library.mean_strengths)
                 weak = self.number(library.weak)
                 strong = self.number(library.strong)
-                text += f" (its weak end: {weak}, its strong end: {strong})"
+                text += f" (weak {low}: {weak}; strong {high}: {strong})"
             return f"{text}."
         for doubt in self._setting:
             clause = _words(doubt)[0]
@@ -274,22 +280,11 @@ class DecisionText:
 
     @property
     def _setting(self) -> list[Doubt]:
-        """The doubt that sets the number, if any: the one that governs, but where that is what adds
-        most failures and another has the more conservative margin.
-        """
-        doubts = [
-            doubt
-            for doubt in self.decision.doubts
-            if doubt.margin is not None and doubt.code != "assumed strength"
-        ]
-        if self.decision.use is None or not doubts:
-            return self._governing[:1]
-        number = self.number
-        pick = max if self._safe_above else min
-        worst = pick(doubts, key=lambda doubt: doubt.margin or 0.0)
-        if any(number(doubt.margin) == number(worst.margin) for doubt in self._governing):
-            return self._governing[:1]
-        return [worst]
+        """The doubt that sets the number; the one that governs where both give the same."""
+        sets = [doubt for doubt in self.decision.doubts if doubt.sets]
+        if len({self.number(doubt.margin) for doubt in (*sets, *self._governing)}) > 1:
+            return sets
+        return self._governing
 
     @property
     def _why_none(self) -> str:
@@ -334,20 +329,19 @@ class DecisionText:
 
     def _reasons(self) -> Iterator[str]:
         decision = self.decision
-        synthetic = []
-        rates: dict[str, list[str]] = {}  # what is said of several limits, and the way out of each
+        grouped: dict[str, list[str]] = {}  # what is said of several limits at once
         for caveat in decision.caveats:
-            if caveat.code == "synthetic tests":
-                synthetic.append(plain_name(caveat.subject).removesuffix(".strength"))
-            elif caveat.code == "rate":
-                reason, _, way = caveat.text.rpartition(": ")
-                rates.setdefault(reason, []).append(way)
-            else:
+            reason = "the tests of {} are synthetic, not measured"
+            word = plain_name(caveat.subject).removesuffix(".strength")
+            if caveat.code == "rate":
+                head, _, word = caveat.text.rpartition(": ")
+                reason = f"{head}: {{}}"
+            elif caveat.code != "synthetic tests":
                 yield caveat_text(caveat)
-        for reason, ways in rates.items():
-            yield f"{reason}: {listed(ways)}"
-        if synthetic:
-            yield f"the tests of {listed(synthetic)} are synthetic, not measured"
+                continue
+            grouped.setdefault(reason, []).append(word)
+        for reason, words in grouped.items():
+            yield reason.format(listed(words))
         if decision.verdict == "undecided":
             yield from self._undecided()
         told = {caveat.subject for caveat in decision.caveats}
@@ -373,7 +367,7 @@ class DecisionText:
         doubts = [doubt for doubt in self.decision.doubts if doubt.counts and doubt.at_plan.value]
         if doubts:
             worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
-            p = plain_probability(as_event(aim, worst.at_plan))
+            p = probability_at_target(aim, worst.at_plan, worst.target)
             side = "down to" if aim == "break" else "up to"
             words = f"({plain_name(worst.subject)}, {_words(worst)[0]})"
             yield f"fracture probability at the planned value {side} {p} {words}"
@@ -388,7 +382,7 @@ _REMEDIES = {
     "tighten the accuracy": (
         "Run again with a smaller analysis.accuracy.probability or a larger analysis.budget"
     ),
-    "widen the range": "Widen margins.between, or reduce the demand",
+    "widen the range": "Widen margins.between, or change the demand",
     "measure the strength": "Measure the {strength} ({subject}) of this rock",
     "test more": "Test more spheres for {subject}",
     "test the lower tail": (
@@ -427,6 +421,24 @@ def as_event(aim: Aim, p: Estimated) -> Estimated:
     if number == 0.0 and not high:
         high = math.ulp(1.0)
     return Range(value=number, low=low, high=high, note=p.note)
+
+
+def probability_at_target(aim: Aim, p: Estimated, target: float | None) -> str:
+    """A failure probability as that of the event, without its interval; where it reads as its
+    target does, with the side that it lies on.
+
+    >>> probability_at_target("survive", Range(value=0.01004), 0.01)
+    'just above 1 %'
+    """
+    event = as_event(aim, p)
+    text = plain_probability(event)
+    allowed = as_event(aim, Range(value=target)).value
+    if event.value is None or allowed is None or text != format_probability(allowed):
+        return text
+    if math.isclose(event.value, allowed, rel_tol=1e-6):
+        return text
+    side = "above" if event.value > allowed else "below"
+    return f"just {side} {text}"
 
 
 def limit_notes(results: Results) -> Iterator[str]:

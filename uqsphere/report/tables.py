@@ -3,11 +3,13 @@
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
+
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
-from uqsphere.quantities import format_probability, format_together
+from uqsphere.quantities import format_probability
 from uqsphere.results.types import (
     Answer,
     Decision,
@@ -17,6 +19,7 @@ from uqsphere.results.types import (
     Kind,
     LimitEntry,
     MarginNote,
+    PaperRow,
     Results,
 )
 from uqsphere.uq import LEVEL_TEXT
@@ -44,6 +47,7 @@ from .sentences import (
     exceedance_name,
     joint_event,
     limit_notes,
+    probability_at_target,
 )
 
 #: texts of a row
@@ -112,10 +116,8 @@ def _broken(text: str, width: int) -> list[str]:
 
 
 def certificate(results: Results, decision: Decision) -> PageTable:
-    """What the number to use rests on: a row a doubt, the conservative ones first."""
+    """What a decision rests on: a row a doubt, the conservative ones first."""
     free = results.study.free
-    if free is None:
-        return PageTable()
     sign = 1.0
     if decision.safe_above:
         sign = -1.0
@@ -126,14 +128,16 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         return sign * doubt.margin
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
-    margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
-    texts = iter(format_together(margins, free.quantity))
+    number = DecisionText(results, decision).number
     rows = []
     for doubt in doubts:
         margin = _WITHOUT_MARGIN[doubt.margin_note][1]
         if doubt.margin is not None:
-            margin = next(texts)
-        at = (probability(as_event(decision.aim, p)) for p in (doubt.at_number, doubt.at_plan))
+            margin = number(doubt.margin)
+        at = (
+            probability_at_target(decision.aim, p, doubt.target)
+            for p in (doubt.at_number, doubt.at_plan)
+        )
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results)
     marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
@@ -142,12 +146,11 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         note += ", as most failures at the number are by it"
     if any(doubt.code == "assumed strength" for doubt in doubts):
         note += "; * strength assumed, from the library"
-    head = (
-        "limit and what is open",
-        f"{free.meaning} at the target",
-        f"{name} at the number to use",
-        f"{name} at the plan",
-    )
+    head = ["limit and what is open", f"{name} at the plan"]
+    if free is None:
+        rows = [(row[0], row[-1]) for row in rows]
+    else:
+        head[1:1] = f"{free.meaning} at the target", f"{name} at the number to use"
     return PageTable(f"To {decision.aim}", head, rows, marked, note)
 
 
@@ -173,7 +176,7 @@ def limits(results: Results) -> PageTable:
                 best = _best_estimate(results, subject, entry, free)
             cells.append(best)
             alone = aims.count(entry.aim) == 1
-            cells += _number_to_use(results, subject, free.quantity) if alone else ["", ""]
+            cells += _number_to_use(results, subject) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
     for decision in results.decisions:
@@ -208,12 +211,17 @@ def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: Free
     if not results.where(subject, Kind.CURVE):
         return DASH
     row = results.get(subject, Kind.MARGIN, entry.allowable)
-    if row.value is None:
-        return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
-    return value(row.value, free.quantity)
+    if row.value is not None:
+        return value(row.value, free.quantity)
+    curve = results.where(subject, Kind.CURVE)
+    above = [(point.value or 0.0) > entry.allowable for point in curve]
+    crossings = np.count_nonzero(np.diff(above))
+    if crossings:
+        return "several values" if crossings > 1 else DASH
+    return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
 
 
-def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
+def _number_to_use(results: Results, subject: str) -> list[str]:
     """The free number at the target by the doubts of a limit: its conservative end, and range."""
     for decision in results.decisions:
         doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
@@ -222,8 +230,8 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
             return ["none", DASH]
         if margins:
             worst = max if decision.safe_above else min
-            number = DecisionText(results, decision).number(worst(margins))
-            return [number, value_range(min(margins), max(margins), path)]
+            text = DecisionText(results, decision)
+            return [text.number(worst(margins)), _span(text, min(margins), max(margins))]
         if any(doubt.margin_note == "everywhere" for doubt in doubts):
             return ["whole range", DASH]
     return [DASH, DASH]
@@ -231,22 +239,28 @@ def _number_to_use(results: Results, subject: str, path: str) -> list[str]:
 
 def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     """The study's own limits together, and all failure modes, with their numbers to use."""
-    number = DecisionText(results, decision).number
+    text = DecisionText(results, decision)
     use = decision.use
     own = decision.own
     free = results.study.free
     if own is not None and own.margin is not None and decision.all_modes is not None:
         p = probability(as_event(decision.aim, decision.probability))
-        yield "your own limits", p, "", "", number(own.margin), "", "", ""
+        yield "your own limits", p, "", "", text.number(own.margin), "", "", ""
     if use is not None and free is not None:
         together, p = "each by itself", ""
-        if any(doubt.joint for doubt in decision.doubts):
+        if decision.adds_up:
             together = all_modes(decision).replace("all failure modes", "all together")
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
-        span = value_range(use.best.low, use.best.high, free.quantity)
+        span = _span(text, use.best.low, use.best.high)
         name = f"{together}, to {decision.aim}"
-        yield name, p, "", best, number(use.value), span, "", ""
+        yield name, p, "", best, text.number(use.value), span, "", ""
+
+
+def _span(decision: DecisionText, low: float | None, high: float | None) -> str:
+    """A range of the free number, its ends rounded as the number to use is; a dash without two."""
+    first, last = decision.number(low), decision.number(high)
+    return DASH if first == last else f"{first} to {last}"
 
 
 def _strength_source(entry: LimitEntry) -> str:
@@ -258,22 +272,6 @@ def _strength_source(entry: LimitEntry) -> str:
     elif entry.tests:
         source = f"{entry.tests} tests"
     return "; ".join(filter(None, (source, entry.platens, entry.size_law)))
-
-
-def assumptions(results: Results) -> PageTable:
-    """Fracture probabilities under other assumptions, one at a time."""
-    rows = []
-    event = exceedance_name(results)
-    for subject, entry in results.entries.items():
-        for row in results.where(subject, Kind.FAILURE_PROBABILITY):
-            _, sign, assumed = str(row.at).partition("assumed: ")
-            if sign:
-                rows.append((label(subject), assumed, probability(as_event(entry.aim, row))))
-    return PageTable(
-        f"{capital(event)} under other assumptions, one at a time, each limit by itself",
-        ("limit", "assumed", event),
-        rows,
-    )
 
 
 def fracture(results: Results) -> PageTable:
@@ -375,43 +373,31 @@ def margins(results: Results) -> PageTable:
     )
 
 
-def drivers(results: Results) -> Iterator[PageTable]:
-    """Sensitivity of each failure probability, and design points: a column a limit."""
-    largest = dict[str, float]()
-    changes = {}
-    points = dict[str, dict[str, str]]()
+def drivers(results: Results) -> PageTable:
+    """Sensitivity of each failure probability: a column a limit, the largest change first."""
+    columns = dict[str, dict[str, float]]()
     for subject, entry in results.entries.items():
         # failure is to stay whole where the aim is to break
         per_cent = -100.0 if entry.aim == "break" else 100.0
         rows = results.where(subject, Kind.DRIVER)
         moved = {_variable(row): per_cent * (row.value or 0.0) for row in rows}
-        most = max(map(abs, moved.values()), default=0.0)
-        if most == 0.0:
-            continue
-        # three digits of the largest in a column
-        decimals = max(2 - math.floor(math.log10(most)), 0)
-        form = f"+.{decimals}f" if decimals < 6 else "+.1e"
-        changes[label(subject)] = {name: format(x, form) for name, x in moved.items()}
-        for name, x in moved.items():
-            largest[name] = max(largest.get(name, 0.0), abs(x))
-        for row in results.where(subject, Kind.DESIGN_POINT):
-            name = _variable(row)
-            text = value(row.value, name or entry.quantity)
-            if not name and entry.tests:  # in terms of the test force
-                text = DASH
-            points.setdefault(label(subject), {})[name] = text
+        if any(moved.values()):
+            columns[label(subject)] = moved
+    largest = dict[str, float]()
+    for name, x in itertools.chain(*(moved.items() for moved in columns.values())):
+        largest[name] = max(largest.get(name, 0.0), abs(x))
     ranked = sorted(largest, key=largest.__getitem__, reverse=True)[:MOST_ROWS]
-    shift = "percentage points per standard deviation shift of the input's mean"
-    for columns, caption, note in (
-        (changes, f"Sensitivity of the {exceedance_name(results)}", shift),
-        (points, "Most probable failure (design point)", ""),
-    ):
-        body = []
-        for name in ranked:
-            head = meaning(name) if name else "strength"
-            body.append((head, *(column.get(name, DASH) for column in columns.values())))
-        if columns:
-            yield PageTable(caption, ("input", *columns), body, note=note)
+    body = []
+    for name in ranked:
+        head = meaning(name) if name else "strength"
+        cells = (f"{moved[name]:+.2g}" if name in moved else DASH for moved in columns.values())
+        body.append((head, *cells))
+    return PageTable(
+        f"Sensitivity of the {exceedance_name(results)}",
+        ("input", *columns),
+        body,
+        note="percentage points per standard deviation shift of the input's mean",
+    )
 
 
 def _variable(row: Answer) -> str:
@@ -422,19 +408,22 @@ def _variable(row: Answer) -> str:
     return name
 
 
+def paper_rows(lines: Iterable[PaperRow]) -> Iterator[Row]:
+    """Names of the paper's numbers, each as printed and corrected, and what is wrong as printed."""
+    for line in lines:
+        printed, corrected = (
+            DASH if number is None else f"{number:.4g} {line.unit}".rstrip()
+            for number in (line.printed, line.corrected)
+        )
+        yield line.name, printed, corrected, line.note
+
+
 def paper(results: Results) -> PageTable:
     """The paper's numbers as printed, beside the corrected ones."""
-    rows = []
-    for row in results.paper:
-        printed, corrected = (
-            DASH if number is None else f"{number:.4g} {row.unit}".rstrip()
-            for number in (row.printed, row.corrected)
-        )
-        rows.append((row.name, printed, corrected, row.note))
     return PageTable(
         "The paper’s formulas, as printed and corrected",
         ("formula of the paper", "printed", "corrected", "what is wrong as printed"),
-        rows,
+        [*paper_rows(results.paper)],
     )
 
 

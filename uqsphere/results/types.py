@@ -97,11 +97,11 @@ class Kind(StrEnum):
         "",
         "1",
     )
-    SAFETY_FACTOR = (
-        "safety_factor",
+    STRENGTH_OVER_DEMAND = (
+        "strength_over_demand",
         "limit",
-        "median strength over median demand",
-        "what it compares",
+        "median of strength over demand",
+        "",
         "1",
     )
     CURVE = "curve", "limit", "probability of exceedance along the free number", "free number", "1"
@@ -109,7 +109,7 @@ class Kind(StrEnum):
         "margin",
         "limit",
         "free number at a probability of exceedance",
-        "probability, or what is assumed otherwise",
+        "probability",
         "the free number's",
     )
     DESIGN_POINT = (
@@ -204,9 +204,9 @@ class FreeNumber(Part):
     planned: Finite
     """its value in the study"""
     low: float
-    """lower end of margins.between"""
+    """lower end of its curve, margins.between where no rows fail"""
     high: float
-    """upper end of margins.between"""
+    """upper end of its curve"""
     unit: str
     """unit that the page shows it in"""
 
@@ -296,13 +296,6 @@ class InputEntry(Part):
     distribution: str
 
 
-class CorrelationEntry(Part):
-    """Correlation of two quantities over the sample."""
-
-    of: list[str]
-    value: float
-
-
 class DependenceEntry(Part):
     """A dependence between random variables."""
 
@@ -332,8 +325,6 @@ class StudyEntry(Part):
     not_judged: dict[str, str]
     """failure modes that are not judged, and why"""
     dependence: list[DependenceEntry]
-    correlations: list[CorrelationEntry] = []
-    """correlation of the quantities of interest, in pairs"""
 
 
 # --- decisions ------------------------------------------------------------------------------------
@@ -375,6 +366,8 @@ class Doubt(Part):
     at_plan: Range = Range()
     """failure probability at the plan"""
     governs: bool = False
+    """whether most failures at the number to use are by it"""
+    sets: bool = False
     """whether the number to use is this margin"""
     counts: bool = True
     """whether it counts as fracture; damage is shown only"""
@@ -407,12 +400,12 @@ class LibraryRange(Part):
     """What a strength of the library, which governs, leaves open."""
 
     mode: str
-    middle: Finite
-    """number to use with the strength at its middle"""
     weak: Finite
     """number to use at the weak end of the library's range"""
     strong: Finite
     """number to use at the strong end"""
+    mean_strengths: tuple[float, float]
+    """mean strengths at the weak and the strong end"""
 
 
 class TestsGain(Part):
@@ -441,6 +434,20 @@ RemedyCode = Literal[
 ]
 
 
+class NeededStrength(Part):
+    """The mean strength, at the same scatter, with which the planned value just keeps the target:
+    the least one, for spheres that are to break the largest.
+    """
+
+    quantity: str
+    """quantity that it has the unit of"""
+    value: float
+    present: float
+    """mean strength of this run"""
+    joint: bool
+    """with the other failure modes; else by this limit itself, as with them none keeps it"""
+
+
 class Remedy(Part):
     """What to do next, for the doubt that governs."""
 
@@ -449,6 +456,8 @@ class Remedy(Part):
     """limit, failure mode, key or check that it is about"""
     at_best: Finite = None
     """number to use once this doubt is gone"""
+    needed: NeededStrength | None = None
+    """strength that the planned value needs"""
     gains: list[TestsGain] = []
     """number to use by number of tests"""
 
@@ -464,7 +473,7 @@ class Use(Part):
     """whether it is the largest or the smallest value to use"""
     planned: Finite
     safety_factor: Finite
-    """number to use over planned value, or its inverse"""
+    """rounded number to use over planned value, or its inverse; below 1 without margin"""
     best: Range
     """best estimate, and its range by all doubts"""
 
@@ -506,6 +515,8 @@ class Decision(Part):
     """limit or mode that is over its target everywhere"""
     own: Doubt | None = None
     """what sets the number to use by the study's own limits only, which is its margin"""
+    safe_above: bool | None = None
+    """whether larger values of the free number are safer; none where the limits differ in that"""
     probability: Range
     """failure probability at the plan, by the study's limits"""
     all_modes: Range | None = None
@@ -520,11 +531,9 @@ class Decision(Part):
     next: Remedy
 
     @property
-    def safe_above(self) -> bool:
-        """Whether the number to use is the least allowable one."""
-        if self.use is None:
-            return self.aim == "break"
-        return self.use.safe_end == "smallest"
+    def adds_up(self) -> bool:
+        """Whether its limits and failure modes add up; else each is judged by itself."""
+        return any(doubt.joint for doubt in self.doubts)
 
 
 # --- checks, accuracy, and the whole --------------------------------------------------------------
