@@ -671,7 +671,7 @@ def test_a_number_that_a_library_strength_governs_comes_with_its_range_and_the_s
     assert middle <= granite.margin("core tension", 0.01)["value"]
     assert decision.own.margin <= granite.margin("crushing", 0.01)["value"]
     assert decision.next.code == "measure the strength"
-    assert decision.next.at_best >= strong
+    assert decision.next.at_best >= decision.library.strong
 
 
 def test_a_folder_of_another_study_is_refused(granite: Run) -> None:
