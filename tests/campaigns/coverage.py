@@ -178,7 +178,7 @@ def count(name: str, seeds: int) -> Counter[tuple[str, bool]]:
                 continue
             if row.answer in (
                 "driver",
-                "strength_over_demand",
+                "safety_factor",
                 "reliability_index",
                 "exceedance_probability",
             ):

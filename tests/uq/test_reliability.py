@@ -114,7 +114,7 @@ def test_strength_that_depends_on_the_inputs() -> None:
     sd = math.sqrt(s**2 + d**2 - 2.0 * rho * s * d)
     found = exceedance(state)
     assert found.value == pytest.approx(stats.norm.cdf(-m / sd), abs=4.0 * found.std_error)
-    median = state.strength_over_demand(0.05)
+    median = state.safety_factor(0.05)
     assert median.value == pytest.approx(math.exp(m + ndtri(0.05) * sd), abs=4.0 * median.std_error)
     comonotone = LimitState(demands=np.exp(d * z), strength=state.strength, tie=tied(1.0 - 1e-9, z))
     # Now S/D = exp(m + (s - d) z): exceeded where z < -m/(s - d).
@@ -175,7 +175,7 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
             float(stats.norm.cdf(-place / total)), strength_scatter, seed, n=512
         )
         for p in (0.05, 0.5, 0.95):
-            found, exact = state.strength_over_demand(p), math.exp(place + ndtri(p) * total)
+            found, exact = state.safety_factor(p), math.exp(place + ndtri(p) * total)
             assert found.value == pytest.approx(exact, abs=5.0 * found.std_error)
             hits += found.low <= exact <= found.high
     assert hits >= 29  # of 36: four standard deviations below 95 %
@@ -184,21 +184,16 @@ def test_margins_are_strength_over_demand(strength_scatter: float) -> None:
 def test_margins_that_have_no_meaning_are_absent() -> None:
     demands = np.abs(np.random.default_rng(1).standard_normal((8, 256)))
     for strength in (0.0, make_law("normal", {"mean": 1.0, "sd": 1.0})):
-        assert (
-            "zero" in LimitState(demands=demands, strength=strength).strength_over_demand().reason
-        )
+        assert "zero" in LimitState(demands=demands, strength=strength).safety_factor().reason
     weibull = make_law("weibull", {"mean": 4.0, "modulus": 12.0})
     # the end of the median's interval is looked for where there are too few positive demands, and
     # far out
     halves = np.where(np.arange(8) < np.where(np.arange(16)[:, None] % 2 == 0, 3, 6), 1e300, -1e300)
-    assert "samples" in LimitState(demands=halves, strength=weibull).strength_over_demand().reason
-    assert (
-        "unbounded"
-        in LimitState(demands=0.0 * demands, strength=weibull).strength_over_demand().reason
-    )
+    assert "samples" in LimitState(demands=halves, strength=weibull).safety_factor().reason
+    assert "unbounded" in LimitState(demands=0.0 * demands, strength=weibull).safety_factor().reason
     censored = demands > 0.5
     late = LimitState(demands=np.minimum(demands, 0.5), strength=weibull, censored=censored)
-    assert "censored" in late.strength_over_demand(0.05).reason
+    assert "censored" in late.safety_factor(0.05).reason
 
 
 def test_reliability_index_and_target() -> None:

@@ -51,8 +51,8 @@ def limits(tables: Tables) -> Rows:
             yield number_row(
                 subject, "reliability_index", "", index, low, high, method=failed.method, runs=runs
             )
-        ratio = state_of(design, limit, tables.sample).strength_over_demand()
-        yield estimate_row(subject, "strength_over_demand", ratio, runs=runs)
+        ratio = state_of(design, limit, tables.sample).safety_factor()
+        yield estimate_row(subject, "safety_factor", ratio, "strength over demand", runs=runs)
 
 
 def failure(tables: Tables, limit: Limit) -> Estimate:

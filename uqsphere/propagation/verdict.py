@@ -533,9 +533,14 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
 
 
 def _needed(judged: Judged, limit: Limit) -> NeededStrength | None:
-    """The strength of a limit that the plan needs: with the other failure modes, else by itself."""
+    """The strength of a limit that the plan needs: with the other failure modes, else by itself.
+
+    None of tests: what they leave open is not in it.
+    """
     plan = judged.plan
     strength = limit.resistance
+    if number_of_tests(strength) is not None:
+        return None
     quantity = limit.quantity
     if strength is not limit.strength:  # the force of its tests
         quantity = "P_max"

@@ -133,7 +133,8 @@ def _description(design: Design) -> list[str]:
         rock = study.materials.get("sphere", "").replace("_", " ") or "sphere"
         size = f"{2e3 * study.at_means()['sphere.radius']:.3g} mm"
         scatter = ", ".join(lookup(name).meaning for name in study.random) or "nothing"
-        first = f"{rock.capitalize()}, {size}, {RIGS[study.rig].title}; random inputs: {scatter}"
+        rock = f"{rock[:1].upper()}{rock[1:]}"
+        first = f"{rock}, {size}, {RIGS[study.rig].title}; random inputs: {scatter}"
     strengths = []
     for limit in design.limits:
         text = f"{limit.name}: {_strength_text(limit)}"

@@ -123,7 +123,10 @@ def cost(study: Study) -> str:
     budget = study.analysis.budget
     start = f"A run starts with {first:,} model runs and doubles the sample until it is accurate"
     if study.black_box:
-        most = f"at most {budget.evaluations:,} in {budget.time:,.0f} s (analysis.budget)"
+        longest = budget.time
+        if study.analysis.cost is not None:
+            longest = min(study.analysis.cost * budget.evaluations, longest)
+        most = f"at most {budget.evaluations:,} in {longest:,.0f} s (analysis.budget)"
         return f"{start}: {most}. A slow model gets one design of fewer runs."
     few = study.analysis.model_copy(
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}

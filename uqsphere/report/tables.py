@@ -373,31 +373,41 @@ def margins(results: Results) -> PageTable:
     )
 
 
-def drivers(results: Results) -> PageTable:
-    """Sensitivity of each failure probability: a column a limit, the largest change first."""
-    columns = dict[str, dict[str, float]]()
+def drivers(results: Results) -> Iterator[PageTable]:
+    """Sensitivity of each failure probability, the largest change first, and design points: a
+    column a limit.
+    """
+    largest = dict[str, float]()
+    changes = {}
+    points = dict[str, dict[str, str]]()
     for subject, entry in results.entries.items():
         # failure is to stay whole where the aim is to break
         per_cent = -100.0 if entry.aim == "break" else 100.0
         rows = results.where(subject, Kind.DRIVER)
         moved = {_variable(row): per_cent * (row.value or 0.0) for row in rows}
-        if any(moved.values()):
-            columns[label(subject)] = moved
-    largest = dict[str, float]()
-    for name, x in itertools.chain(*(moved.items() for moved in columns.values())):
-        largest[name] = max(largest.get(name, 0.0), abs(x))
+        if not any(moved.values()):
+            continue
+        changes[label(subject)] = {name: f"{x:+.3g}" for name, x in moved.items()}
+        for name, x in moved.items():
+            largest[name] = max(largest.get(name, 0.0), abs(x))
+        for row in results.where(subject, Kind.DESIGN_POINT):
+            name = _variable(row)
+            text = value(row.value, name or entry.quantity)
+            if not name and entry.tests:  # in terms of the test force
+                text = DASH
+            points.setdefault(label(subject), {})[name] = text
     ranked = sorted(largest, key=largest.__getitem__, reverse=True)[:MOST_ROWS]
-    body = []
-    for name in ranked:
-        head = meaning(name) if name else "strength"
-        cells = (f"{moved[name]:+.2g}" if name in moved else DASH for moved in columns.values())
-        body.append((head, *cells))
-    return PageTable(
-        f"Sensitivity of the {exceedance_name(results)}",
-        ("input", *columns),
-        body,
-        note="percentage points per standard deviation shift of the input's mean",
-    )
+    shift = "percentage points per standard deviation shift of the input's mean"
+    for columns, caption, note in (
+        (changes, f"Sensitivity of the {exceedance_name(results)}", shift),
+        (points, "Most probable failure (design point)", ""),
+    ):
+        body = []
+        for name in ranked:
+            head = meaning(name) if name else "strength"
+            body.append((head, *(column.get(name, DASH) for column in columns.values())))
+        if columns:
+            yield PageTable(caption, ("input", *columns), body, note=note)
 
 
 def _variable(row: Answer) -> str:

@@ -97,11 +97,11 @@ class Kind(StrEnum):
         "",
         "1",
     )
-    STRENGTH_OVER_DEMAND = (
-        "strength_over_demand",
+    SAFETY_FACTOR = (
+        "safety_factor",
         "limit",
-        "median of strength over demand",
-        "",
+        "median of strength over demand; free number at the target over its planned value",
+        "what it compares",
         "1",
     )
     CURVE = "curve", "limit", "probability of exceedance along the free number", "free number", "1"

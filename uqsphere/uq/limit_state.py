@@ -119,7 +119,7 @@ class LimitState:
             method += f", one sample carries {100.0 * largest:.0f} %"
         return bounded(value, low, high, error, method, broken.size)
 
-    def strength_over_demand(self, p: float = 0.5) -> Estimate:
+    def safety_factor(self, p: float = 0.5) -> Estimate:
         """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is
         read off where the replicates' probabilities could lie.
 
