@@ -5,12 +5,14 @@ are met.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.special import ndtri
 
+from uqsphere.uq.chaos.expansion import Integrals
 from uqsphere.uq.describe import Description, describe_controlled, hill
 from uqsphere.uq.describe import describe as describe_sample
 from uqsphere.uq.estimate import Estimate, absent, from_replicates, sample_reader, share
@@ -181,6 +183,20 @@ def test_an_answer_that_few_points_carry_has_fewer_degrees_of_freedom() -> None:
     assert few.half_width == pytest.approx(2.851 * few.std_error, rel=1e-3)
 
 
+#: moments that no integral gives
+UNKNOWN = Integrals(mean=0.0, sd=1.0, shares=np.zeros((2, 1)), moment_errors=(math.inf, math.inf))
+
+
+def test_moments_of_a_control_that_are_known_are_not_sampled() -> None:
+    z = np.random.default_rng(0).standard_normal((16, 512))
+    known = replace(UNKNOWN, mean=1.0, sd=3.0, moment_errors=(1e-9, 1e-9))
+    rows = 1.0 + 3.0 * z
+    answers = describe_controlled(rows, rows, rows, known=known, quantiles=(0.5,), method="control")
+    assert answers.mean.value == pytest.approx(1.0, abs=1e-12)
+    assert answers.sd.value == pytest.approx(3.0, abs=1e-12)
+    assert answers.mean.half_width == pytest.approx(1e-9)
+
+
 def test_means_and_scatter_of_a_skewed_law_hold_beside_a_control() -> None:
     """A lognormal variable beside a series that misses its tail."""
     truth = math.exp(0.5), math.sqrt(math.expm1(1.0) * math.e)
@@ -190,7 +206,7 @@ def test_means_and_scatter_of_a_skewed_law_hold_beside_a_control() -> None:
         expensive = np.exp(z[:, :512])
         cheap = 1.0 + z + 0.5 * z**2 + z**3 / 6.0 + z**4 / 24.0
         answers = describe_controlled(
-            expensive, cheap[:, :512], cheap, quantiles=(0.5,), method="control"
+            expensive, cheap[:, :512], cheap, known=UNKNOWN, quantiles=(0.5,), method="control"
         )
         for k, (estimate, true) in enumerate(zip((answers.mean, answers.sd), truth, strict=True)):
             assert estimate.low is not None

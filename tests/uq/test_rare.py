@@ -133,6 +133,19 @@ def test_forty_and_a_hundred_lognormals_within_four_percent(dimension: int, trut
         assert holds(found.estimate, truth)
 
 
+def test_planes_of_a_series_system_in_many_inputs_have_a_design_point_each() -> None:
+    # orthogonal planes fail independently
+    betas = np.array([3.2, 3.5, 3.6])
+
+    def limit(u: np.ndarray) -> np.ndarray:
+        return (betas - u[:, :3]).min(axis=1)
+
+    found = failure_probability(Evaluator(limit, 25, seed=1))
+    assert [round(point.beta, 2) for point in found.points] == betas.tolist()
+    assert found.sure
+    assert holds(found.estimate, -np.expm1(np.log(ndtr(betas)).sum()))
+
+
 @pytest.mark.parametrize("radius", [0.15, 0.25])
 def test_an_island_off_the_path_of_the_search_is_never_sure_and_wrong(radius: float) -> None:
     def limit(u: np.ndarray) -> np.ndarray:

@@ -27,14 +27,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, bundle, special
-from uqsphere.uq import Estimate, Sample, from_replicates
-from uqsphere.uq.chaos.basis import germ_points
-from uqsphere.uq.chaos.expansion import Chaos
+from uqsphere.arrays import Array, Flags, Pair, Values, bundle, special
+from uqsphere.uq import Estimate, Law, Sample, from_replicates
+from uqsphere.uq.chaos.basis import germ_points, rows_of
+from uqsphere.uq.chaos.expansion import Chaos, Integrals
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import ratio_of_means, spread, student
-from uqsphere.uq.response import REJECTED
+from uqsphere.uq.response import REJECTED, ROUNDING
 
 from .design import Design
 
@@ -87,6 +87,19 @@ class Expansion:
         off = self.values[:, : rest.shape[1]] - self.fit.integrals.mean
         return self.fit.integrals.sd**2 + (rest * (2.0 * off + rest)).mean(axis=1)
 
+    @property
+    def moments(self) -> Integrals:
+        """Moments of the expansion, with errors that allow for what may be wrong beyond all rows:
+        the mean by no more than the share of the tails and its square allow (Cauchy and Schwarz).
+        """
+        integrals = self.fit.integrals
+        sd = integrals.sd
+        mean, square = integrals.moment_errors
+        tails = 2.0 * len(self.fit.germs) / self.residuals.size
+        mean += sd * (math.sqrt(self.beyond * tails) + ROUNDING)
+        square += sd**2 * (self.beyond + ROUNDING)
+        return replace(integrals, moment_errors=(mean, square))
+
 
 def expansions(
     design: Design, sample: Sample, columns: Sequence[str], before: Mapping[str, Expansion]
@@ -124,10 +137,11 @@ def expansions(
             cross=np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few,
             explained=_explained(points[1:, :few], rest),
             left=left,
-            beyond=_beyond(fit, sample.scores[1:, :few, : len(design.inputs)], rest),
+            beyond=_beyond(design, fit, sample.scores, rest),
         )
-        if not _runs_away(expansion):
-            fits[name] = expansion
+        wrong = _runs_away(expansion)
+        if wrong < GOOD * CONTROL:
+            fits[name] = replace(expansion, beyond=expansion.beyond + wrong)
     return fits
 
 
@@ -167,50 +181,82 @@ def _explained(points: Array, residuals: Array) -> Array:
     return np.stack([least, np.where(larger, neighbours, squares)])
 
 
-def _runs_away(expansion: Expansion) -> bool:
-    """Whether the rows contradict the variance of an expansion, which it makes where none lies."""
+def _runs_away(expansion: Expansion) -> float:
+    """Share of the variance of an expansion that it makes where no row lies, as far as it may be
+    wrong there: 0 where the rows do not contradict its variance.
+
+    Of an output with a heavy tail the rows may lack much of the variance: what of it is in doubt is
+    what the expansion leaves.
+    """
     moments = expansion.fit.integrals
     if not moments.sd > 0.0:
-        return False
+        return 0.0
     # over the variance of the expansion
     squares = (((expansion.values - moments.mean) / moments.sd) ** 2).mean(axis=1)
-    room = student(len(squares), REJECTED) * spread(squares)
-    return bool(abs(1.0 - squares.mean()) > room + 1e-9 + 4.0 * moments.error)
+    missing = abs(1.0 - squares.mean())
+    if missing <= student(len(squares), REJECTED) * spread(squares) + 1e-9 + 4.0 * moments.error:
+        return 0.0
+    doubt = math.sqrt(expansion.left)
+    return float(missing * min(2.0 * doubt + doubt**2, 1.0))
 
 
-def _beyond(fit: Chaos, scores: Array, residuals: Array) -> float:
+def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> float:
     """Share of the variance of an expansion that may be wrong beyond all rows, in the tails of
     single inputs.
 
     It is what the expansion makes there over one that is held at the last row, as far as residuals
     of the last row of every replicate are large against what the expansion moves by as far before
-    it.
+    it, or as far as polynomials of the same degree miss the law of the input itself, which is
+    known there: no polynomial of its score meets a law whose tail falls off as a power.
 
-    scores : (R-1, m, d) of the inputs
-    residuals : (R-1, m) of these rows
+    scores : (R, n, D) of the variables
+    residuals : (R-1, m) of the first rows of the last replicates
     """
     moments = fit.integrals
     if not moments.sd > 0.0:
         return 0.0
     rows = scores[0, :TAIL_POINTS]
+    # parts of a tail that reach far into it, and the share of it that each stands for
     parts = (np.arange(len(rows)) + 0.5) / len(rows)
+    shares = parts**2 / (parts**2).sum()
     wrong = 0.0
-    for j, column in enumerate(np.moveaxis(scores, 2, 0)):
+    for j, law in enumerate(design.joint_inputs.laws):
+        column = scores[1:, : residuals.shape[1], j]
         for side in (-1.0, 1.0):
             outermost = (side * column).argmax(axis=1)[:, None]
             last = side * (side * column).max()
             chance = float(special.ndtr(-side * last))
-            free = -side * special.ndtri(chance * parts)
+            free = -side * special.ndtri(chance * parts**3)
             # beyond the last row, at it, and as far before it
             places = np.tile(rows, (3, 1, 1))
             places[:, :, j] = np.broadcast_arrays(free, last, 2.0 * last - free)
-            beyond, at_last, before = fit.predict(germ_points(places, fit.germs))
-            made = np.abs((beyond - moments.mean) ** 2 - (at_last - moments.mean) ** 2).mean()
+            beyond, at_last, before = fit.predict(points_of(design, places)) - moments.mean
+            made = shares @ np.abs(beyond**2 - at_last**2)
             error = (np.take_along_axis(residuals, outermost, 1) ** 2).mean()
+            own, exact = _by_same_degree(
+                fit, j, law, scores[0, : fit.samples, j], np.append(free, last)
+            )
+            # what such polynomials miss is a deviation, of which the interval holds 95 %
+            missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
             with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
-                doubt = np.sqrt(error / max(((before - at_last) ** 2).mean(), 1e-300))
-                wrong += chance * float(made * min(2.0 * doubt + doubt**2, 1.0))
+                doubt = np.sqrt(error / max(shares @ (before - at_last) ** 2, 1e-300))
+                missed /= max(shares @ np.abs(own**2 - own[-1] ** 2)[:-1], 1e-300)
+                wrong += chance * float(made * min(max(2.0 * doubt + doubt**2, missed), 1.0))
     return wrong / moments.sd**2
+
+
+def _by_same_degree(fit: Chaos, j: int, law: Law, rows: Array, scores: Array) -> Pair:
+    """Values (n,) of an input at scores (n,), about their mean: by polynomials up to the degree
+    that an expansion has in it, fitted to scores (m,) of rows, and by its law.
+    """
+    germs = fit.germs[j : j + 1]
+    degrees = np.arange(fit.multi_indices[:, j].max() + 1)[:, None]
+
+    def terms(scores: Array) -> Array:
+        return rows_of(germs, germ_points(scores[:, None], germs), degrees)
+
+    coefficients = np.linalg.lstsq(terms(rows).T, law.from_normal(rows))[0]
+    return coefficients[1:] @ terms(scores)[1:], law.from_normal(scores) - coefficients[0]
 
 
 def _left(outputs: Array, values: Array) -> float:

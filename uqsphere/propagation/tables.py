@@ -24,7 +24,7 @@ from uqsphere.uq.indices import sampled_indices
 from uqsphere.uq.response import Response, unseen
 from uqsphere.uq.rows import too_small
 
-from .chaos import CONTROL, METHOD, Expansion, Indices, by_chaos, values_at
+from .chaos import CONTROL, GOOD, METHOD, Expansion, Indices, by_chaos, values_at
 from .design import Design, with_test_forces
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,
@@ -155,6 +155,7 @@ class Tables:
                 sample.answer(name)[1:],
                 expansion.values,
                 self.values(name)[1:],
+                known=expansion.moments,
                 quantiles=quantiles,
                 method="sample, chaos as control variate",
             )
@@ -165,7 +166,9 @@ class Tables:
         expansion = self.expansions.get(name)
         if expansion is None or self.sample.count >= MOST_MANY:
             return None
-        return expansion if expansion.left + expansion.beyond < CONTROL else None
+        # of a heavy tail an expansion that leaves next to nothing says more than rows
+        most = GOOD if expansion.left < GOOD * CONTROL else CONTROL
+        return expansion if expansion.left + expansion.beyond < most else None
 
     def values(self, name: str) -> Array:
         """Values (R, n) that stand for the distribution of a quantity: of its control variate at

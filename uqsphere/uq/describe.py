@@ -17,6 +17,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Cells, Flags, Pair, Values, frozen, special
 
+from .chaos.expansion import Integrals
 from .estimate import (
     CELL,
     LEFT_OUT,
@@ -239,9 +240,18 @@ def quantile_estimates(
 
 
 def describe_controlled(
-    expensive: Array, cheap: Array, cheap_many: Array, *, quantiles: Sequence[float], method: str
+    expensive: Array,
+    cheap: Array,
+    cheap_many: Array,
+    *,
+    known: Integrals,
+    quantiles: Sequence[float],
+    method: str,
 ) -> Description:
     """Mean, standard deviation and quantiles of the expensive model, controlled by the cheap one.
+
+    The cheap model has its own moments from integrals where these are more accurate than its many
+    points: a heavy tail is not in all of these.
 
     The intervals of the quantiles are Woodruff's (1952), off the corrected distribution function.
 
@@ -250,16 +260,21 @@ def describe_controlled(
     expensive, cheap : (R, n) both models at the same points, finite and not censored, R >= 4
     cheap_many : (R, m) the cheap model at the points of each replicate continued; its first n
         columns are `cheap`
+    known : moments of the cheap model, with their errors
     quantiles : probabilities
     method : text of every estimate
     """
     total = expensive.size
 
-    def controlled(function: Callable[[Array], Cells]) -> Values:
+    def controlled(
+        function: Callable[[Array], Cells], integral: float = nan, error: float = inf
+    ) -> tuple[Values, float]:
         exact, other, more = (
             function(rows).mean(axis=1) for rows in (expensive, cheap, cheap_many)
         )
-        return exact - other + more
+        if error < student(len(more)) * spread(more):
+            return exact - other + integral, error
+        return exact - other + more, 0.0
 
     def carrying(function: Callable[[Array], Array]) -> float:
         """The points that carry what the cheap model is off by; infinite for a rounding."""
@@ -269,7 +284,9 @@ def describe_controlled(
             return inf
         return carriers((off - off.mean()) ** 2)
 
-    mean = from_replicates(controlled(np.asarray), method, total, carrying=carrying(np.asarray))
+    values, error = controlled(np.asarray, known.mean, known.moment_errors[0])
+    points = carrying(np.asarray)
+    mean = from_replicates(values, method, total, carrying=points, further=error)
     # about one centre for all replicates, so that their means are not taken for scatter of the
     # quantity
     centre = mean.value or 0.0
@@ -277,18 +294,22 @@ def describe_controlled(
     def squares(rows: Array) -> Array:
         return (rows - centre) ** 2
 
-    variances = controlled(squares)
+    square = known.sd**2 + (known.mean - centre) ** 2
+    variances, error = controlled(squares, square, known.moment_errors[1])
     scale = math.sqrt(max(variances.mean(), 0.0)) or expensive.std()
     # the standard deviation moves by half of what the variance does, over itself
-    halves = 0.5 * variances / (scale or 1.0)
-    sd = from_replicates(halves, method, total, scale, carrying=carrying(squares))
+    half = 0.5 / (scale or 1.0)
+    points = carrying(squares)
+    sd = from_replicates(
+        half * variances, method, total, scale, carrying=points, further=half * error
+    )
     read = _corrected_reader(expensive, cheap, cheap_many)
     answers = {}
     for p in quantiles:
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        below = controlled(partial(np.greater_equal, read(p)))
+        below, _ = controlled(partial(np.greater_equal, read(p)))
         # a cell of the many, and one row in which the models may disagree
         cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
         error = math.hypot(spread(below), cell, CELL / total)

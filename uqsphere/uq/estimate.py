@@ -230,12 +230,13 @@ def from_replicates(
     pooled: float | None = None,
     *,
     carrying: float = inf,
+    further: float = 0.0,
 ) -> Estimate:
     """Estimate from the answers (R,) of independent replicates.
 
     The value is `pooled` if given (the answer of all samples together), else the mean of the
     replicates; the interval is Student's with the degrees of freedom that replicates and so many
-    `carrying` points allow (`freedom`).
+    `carrying` points allow (`freedom`), `further` wider on either side.
 
     >>> estimate = from_replicates(np.array([1.0, 2.0, 3.0]), "mean", 3)
     >>> estimate.value, round(estimate.std_error, 12)
@@ -249,7 +250,7 @@ def from_replicates(
     if pooled is not None:
         value = pooled
     error = deviation / math.sqrt(values.size - 1)
-    half = student(1.0 + freedom(values.size, carrying)) * error
+    half = student(1.0 + freedom(values.size, carrying)) * error + further
     return bounded(value, value - half, value + half, error, method, evaluations)
 
 

@@ -58,6 +58,8 @@ __all__ = [
 FEW = 5000
 #: share of the evaluations that are a plain sample, which no search has aimed
 DEFENSIVE = 0.1
+#: design points at most that the mixture begins with
+MOST_POINTS = 6
 #: factor on the upper end of subset simulation with no second method: of 5,000 rows its intervals
 #: missed by up to 10
 UNCERTIFIED = 10.0
@@ -156,9 +158,11 @@ def failure_probability(
     parts = []
     if len(subset.failures):
         parts.append(gaussian(subset.failures[:, :d], np.ones(len(subset.failures))))
+    if d > MOST_DIMENSIONS:
+        points = _more_points(evaluator, points, subset.failures)
     beyond = [point for point in points if point.beta > 0.0]
     if beyond:
-        parts.append(around_design_points(beyond[:6], d))
+        parts.append(around_design_points(beyond[:MOST_POINTS], d))
     seen, weights = failures(evaluator, pool)
     if d <= MOST_DIMENSIONS and weights.size:
         parts.append(gaussian(seen, weights))
@@ -173,10 +177,33 @@ def failure_probability(
         mixture = adapt(evaluator, pool, joined([1.0] * len(parts), parts))
         answer = importance_sampling(evaluator, mixture.defended(), accuracy)
         draws = answer.draws
+        if d > MOST_DIMENSIONS and (mixture.ratio(subset.failures[:, :d]) > 1.0).any():
+            answer = answer._replace(trusted=False)
         estimate, warning = _defended(*_certify(answer, subset.estimate), mass)
     unseen = min((estimate.high or 1.0) + count_bound(mass.size), 1.0)
     estimate = replace(estimate, high_unseen=unseen, evaluations=evaluator.count)
     return RareAnswer(estimate, warning, points, draws)
+
+
+def _more_points(
+    evaluator: Evaluator, points: tuple[DesignPoint, ...], failures: Array
+) -> tuple[DesignPoint, ...]:
+    """Design points, and those that are found from the most probable of the failures (n, size)
+    which no Gaussian at a point before covers.
+    """
+    d = evaluator.dimension
+    most = 0.06 * evaluator.budget
+    while 0 < len(points) < MOST_POINTS:
+        # those of which the Gaussians have no more than a plain sample
+        far = failures[around_design_points(points, d).ratio(failures[:, :d]) > 1.0]
+        if not far.size:
+            break
+        nearest = far[np.argmin((far**2).sum(axis=1))]
+        more = find_design_points(evaluator, starts=[nearest], most=most, known=points)
+        if len(more) <= len(points):
+            break
+        points = more
+    return points
 
 
 def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
@@ -202,8 +229,8 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
         return sampled, ""
     warning = (
         f"importance sampling ({sampled.value:.3g}, largest weight {answer.heaviest:.0%}) and "
-        f"subset simulation ({other.value:.3g}) disagree, or weights are uneven: the interval "
-        "holds both"
+        f"subset simulation ({other.value:.3g}) disagree, or weights are uneven, or few were "
+        "drawn where failures lie: the interval holds both"
     )
     method = f"{sampled.method}, widened to hold subset simulation"
     return replace(sampled.holding(other), method=method), warning

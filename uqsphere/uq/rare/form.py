@@ -6,7 +6,7 @@ its first step is that of Hasofer and Lind (1974) and Rackwitz and Fiessler (197
 central differences over a step that is wide enough to see across kinks.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from math import inf
@@ -36,10 +36,14 @@ class DesignPoint:
 
 
 def find_design_points(
-    evaluator: Evaluator, *, starts: Iterable[Array] = (), most: float = inf
+    evaluator: Evaluator,
+    *,
+    starts: Iterable[Array] = (),
+    most: float = inf,
+    known: Sequence[DesignPoint] = (),
 ) -> tuple[DesignPoint, ...]:
     """Design points by rising distance, from the origin, from quasi-random directions, and from
-    `starts` (n, size).
+    `starts` (n, size); with `known` ones these and those from `starts` alone.
 
     At most `most` evaluations are spent.  Empty where no search converged, or g is constant where
     it was looked at.
@@ -55,7 +59,7 @@ def find_design_points(
     if size <= MOST_DIMENSIONS:
         normals = evaluator.normals(size, 4, "form starts")
         first.extend(2.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    points: list[DesignPoint] = []
+    points = [*known]
     with suppress(Spent):
         every = np.array([*first, *starts])
         values = evaluator.hard(every)
@@ -70,7 +74,7 @@ def find_design_points(
         if not scale > 0.0:
             return ()
         sign = -1.0 if values[0] < 0.0 else 1.0
-        for start in every:
+        for start in starts if known else every:
             point, value, slope = _search(evaluator, start, scale, last)
             length = np.linalg.norm(slope)
             distance = float(np.linalg.norm(point))

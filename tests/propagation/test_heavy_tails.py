@@ -1,0 +1,48 @@
+"""Heavy tails of inputs whose laws are known: what no row shows is in the intervals."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+import uqsphere
+from uqsphere import Study
+
+NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+
+
+def answers_of(law: dict[str, Any], seed: int) -> dict[tuple[str, str], Any]:
+    """The answers on the sum of an input of a law and a normal one, by answer and place."""
+    study = Study(inputs={"x": law, "z": NORMAL}, outputs="y", seed=seed)
+    run = uqsphere.run(study, lambda columns: {"y": columns["x"] + columns["z"]})
+    return {
+        (row.answer.value, str(row.at)): row for row in run.results.answers if row.subject == "y"
+    }
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_indices_of_a_student_input_hold(seed: int) -> None:
+    # polynomials of a score miss 0.2 % of its variance beyond all rows, with 15 degrees
+    law = {"dist": "student_t", "dof": 3.0, "location": 0.0, "scale": 1.0}
+    answers = answers_of(law, seed)
+    for place, truth in (("x", 0.75), ("z", 0.25)):
+        for order in ("sobol_first", "sobol_total"):
+            row = answers[order, place]
+            assert row.low <= truth <= row.high
+            assert row.high - row.low < 0.04
+    sd = answers["sd", ""]
+    assert sd.low <= 2.0 <= sd.high
+
+
+@pytest.mark.parametrize("seed", [1, 2, 10, 13])
+def test_mean_and_scatter_of_a_weibull_input_are_those_of_its_law(seed: int) -> None:
+    # a sample lacks the largest of the values, and its intervals are too narrow at once
+    law = {"dist": "weibull", "scale": 1.0, "modulus": 0.6}
+    mean, square = (math.gamma(1.0 + k / 0.6) for k in (1, 2))
+    answers = answers_of(law, seed)
+    for answer, truth in (("mean", mean), ("sd", math.sqrt(square - mean**2 + 1.0))):
+        row = answers[answer, ""]
+        assert row.low <= truth <= row.high
+        assert row.high - row.low < 1e-6
