@@ -173,6 +173,29 @@ def test_many_limits_on_one_quantity_share_their_searches() -> None:
     assert run.results.accuracy.runs < 20 * 10_000
 
 
+@pytest.mark.parametrize("by", ["dependence", "model factor"])
+def test_draws_of_a_limit_serve_no_other_where_failure_hangs_on_more(by: str) -> None:
+    limits: dict[str, dict[str, Any]] = {
+        name: {"quantity": "y", "strength": strength, "aim": "survive"}
+        for name, strength in (("near", 14.0), ("far", 18.0))
+    }
+    variance = 25.0
+    dependence = []
+    if by == "dependence":
+        dependence = [{"of": ["a", "b"], "spearman": 0.5}]
+        variance += 24.0 * 2.0 * math.sin(math.pi / 12.0)
+    else:
+        for table in limits.values():
+            table["model_factor"] = {"dist": "normal", "mean": 1.0, "sd": 1e-9}
+    accuracy = {"probability": 0.05, "sobol": 0.5}
+    run = uqsphere.run(
+        study(limits=limits, dependence=dependence, analysis={"accuracy": accuracy}), linear
+    )
+    for name, table in limits.items():
+        right = float(stats.norm.sf(table["strength"] / math.sqrt(variance)))
+        assert run.probability(name)["value"] == pytest.approx(right, rel=0.15)
+
+
 def test_a_margin_is_where_the_curve_takes_the_probability() -> None:
     run = uqsphere.run(
         study(margins={"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1, 0.5]}),

@@ -81,7 +81,7 @@ def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tabl
             break
         problem = _problem(design, limit, answered, min(allowed, MOST))
         draws = list[Draws]()
-        if problem.limit is not None:
+        if not _hangs_on_more(design, limit):
             draws = shared.setdefault((limit.quantity, limit.aim), [])
         try:
             result = failure_probability(problem, accuracy=required.probability, known=draws)
@@ -161,6 +161,12 @@ def _design_point(tables: Tables, limit: Limit) -> Mapping[str, float]:
     return _physical(design, limit, answered, points)
 
 
+def _hangs_on_more(design: Design, limit: Limit) -> bool:
+    """Whether the failure of a limit hangs on more than its quantity and its strength."""
+    of_tests = limit.by_force or isinstance(limit.model_factor, Law)
+    return bool(design.study.dependence) or of_tests
+
+
 def _problem(
     design: Design, limit: Limit, answered: Callable[[Sample], Sample], budget: float
 ) -> Evaluator:
@@ -190,7 +196,7 @@ def _problem(
         return left(LimitState(demands=number(limit.model_factor) * y[None], strength=strength))
 
     strength = limit.resistance
-    whole = design.study.dependence or limit.by_force or isinstance(limit.model_factor, Law)
+    whole = _hangs_on_more(design, limit)
     return Evaluator(
         answers,
         len(design.drawn.names),
