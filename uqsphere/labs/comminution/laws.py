@@ -24,6 +24,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Values, quiet, special
 from uqsphere.mechanics.contact import hertz_constant, sphere_mass
+from uqsphere.mechanics.roots import bisect
 
 #: parameters of a size law, the energy first, by its name
 SIZES = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"), "power": ("C", "phi")}
@@ -112,18 +113,18 @@ def before_blow(left: Values, gamma: Values) -> Array:
     >>> round(float(before_blow(2.0 * (1.0 - 0.168913045), 4.0)), 7)
     2.0
     """
-    left, g = np.broadcast_arrays(left, gamma)
-    low = np.full(left.shape, -150.0)
-    high = np.full(left.shape, 700.0)
+    g = np.asarray(gamma)
     wanted = np.log(np.maximum(left, 1e-300))
-    for _ in range(70):
-        t = 0.5 * (low + high)
+
+    def log_share(t: Values) -> Values:
+        """ln E/e at the logit of a damage."""
         log_d = -np.logaddexp(0.0, -t)
-        log_share = (2.5 / g) * log_d + np.log((2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g))
-        more = -np.logaddexp(0.0, t) - log_share > wanted
-        low = np.where(more, t, low)
-        high = np.where(more, high, t)
-    return np.where(left > 0.0, np.exp(-log_share), 1.0)
+        return (2.5 / g) * log_d + np.log((2.0 * g + 5.0 - 5.0 * np.exp(log_d)) / (2.0 * g))
+
+    logit, _ = bisect(
+        lambda t: -np.logaddexp(0.0, t) - log_share(t) > wanted, -150.0, 700.0, halvings=70
+    )
+    return np.where(left > 0.0, np.exp(-log_share(logit)), 1.0)
 
 
 def survivor_bound(energies: Values, gamma: Values) -> Array:

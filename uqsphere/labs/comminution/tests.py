@@ -2,7 +2,6 @@
 lies."""
 
 from dataclasses import replace
-from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,6 +83,8 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
 
     Raises UsageError with the lines of impossible rows, and for tests that bound no energy.
     """
+    import pandas as pd
+
     want = asked.tests
     table = read_table(folder / want.file)
     for column, value in want.where.items():
@@ -110,6 +111,10 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     if want.rig_column:
         rig = np.array(table.texts(want.rig_column))
     at_failure = np.isin(rig, _AT_FAILURE)
+    # rows of one name are the series of blows on one particle
+    specimen = pd.Series(range(len(table)))
+    if want.specimen:
+        specimen = pd.Series(pd.factorize(np.array(table.texts(want.specimen)))[0])
     for message, wrong in {
         f"rig must be one of {', '.join(_RIGS)}": ~np.isin(rig, _RIGS),
         "the size must be above 0": diameter <= 0.0,
@@ -118,36 +123,33 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         f"blows must be from 1 to {_MOST_BLOWS:,}": (blows < 1) | (blows > _MOST_BLOWS),
         "a press tests a particle once: blows need drop_weight, impact or drop": at_failure
         & (blows > 1),
+        "a specimen is hit again after it broke": specimen.duplicated(keep="last").to_numpy()
+        & (broken > 0),
+        "a specimen that is hit again must be one particle": specimen.duplicated(
+            keep=False
+        ).to_numpy()
+        & (particles > 1),
     }.items():
         table.refuse("", message, wrong)
     energy, notes = particle_energies(asked, table, diameter, rig)
-    names = [*map(str, range(len(table)))]
-    if want.specimen:
-        names = table.texts(want.specimen)
-    # rows of one name are the series of blows on one particle; groups have broken and whole ones
-    rows_of: dict[str, list[int]] = {}
-    for row, name in enumerate(names):
-        rows_of.setdefault(name, []).append(row)
-    specimens = []
-    for rows in rows_of.values():
-        *early, last = rows
-        again = [row for row in early if broken[row] > 0]
-        table.refuse("", "a specimen is hit again after it broke", again)
-        groups = [row for row in rows if early and particles[row] > 1]
-        table.refuse("", "a specimen that is hit again must be one particle", groups)
-        series = np.repeat(energy[rows], blows[rows].astype(int))
-        for broke, number in ((True, broken[last]), (False, particles[last] - broken[last])):
-            exact = broke and at_failure[last] and len(series) == 1
-            if number > 0:
-                specimens.append((diameter[last], series, broke, exact, number))
     table.finish()
-    diameters, every, ended, known, weights = zip(*specimens, strict=True)
+    # every blow, by specimen and number
+    struck = specimen.repeat(blows.astype(int).tolist())
+    number = struck.groupby(struck).cumcount()
+    series = np.zeros((struck.max() + 1, number.max() + 1))
+    series[struck, number] = energy[struck.index]
+    # groups have broken and whole particles
+    last = specimen.index.to_series().groupby(specimen).last().to_numpy()
+    numbers = np.column_stack([broken, particles - broken])[last]
+    places, whole = np.nonzero(numbers)
+    rows = last[places]
+    broke = whole == 0
     tests = Specimens(
-        diameter=np.array(diameters),
-        blows=np.array([*zip_longest(*every, fillvalue=0.0)]).T,
-        broke=np.array(ended),
-        exact=np.array(known),
-        weight=np.array(weights),
+        diameter=diameter[rows],
+        blows=series[places],
+        broke=broke,
+        exact=broke & at_failure[rows] & ~series[places, 1:].any(axis=1),
+        weight=numbers[places, whole],
         notes=table.notes + notes + _odd_rows(table, diameter, energy),
     )
     if not tests.broke.any():

@@ -179,12 +179,10 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
 
 def face_approach(force: Array, largest: Array, face: Face) -> Array:
     """Approach of a face [m] at forces >= 0 [N], given the largest force so far [N], (n,)."""
-    depth = face.depth_at(force)
-    below = force < largest * (1.0 - 1e-12)
-    deepest = face.depth_at(largest[below])
-    share = np.cbrt(np.square(force[below] / largest[below]))
-    depth[below] = deepest - face.recovery(deepest) * (1.0 - share)
-    return depth * face.onset_approach
+    deepest = face.depth_at(largest)
+    # unloading is Hertz's; without it the share is 1
+    share: Array = np.cbrt(np.square(force / largest))
+    return (deepest - face.recovery(deepest) * (1.0 - share)) * face.onset_approach
 
 
 def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
