@@ -76,17 +76,14 @@ class Limit:
         """What demands are held against: the distribution of the force of its crushing tests, or
         its strength.
         """
-        if self.tested is None or self.tested.law is None:
-            return self.strength
-        return self.tested.law
+        return (self.tested and self.tested.law) or self.strength
 
     @property
     def by_force(self) -> bool:
         """Whether it is held against the force of crushing tests, or against draws with a law of
         size.
         """
-        tested = self.tested
-        return tested is not None and (tested.law is not None or tested.exponent != 0.0)
+        return bool(self.tested and (self.tested.law or self.tested.exponent))
 
     @property
     def column(self) -> str:

@@ -3,12 +3,12 @@
 import argparse
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from uqsphere.documents import load_document
+from uqsphere.errors import tell
 from uqsphere.labs.files import chosen_command, csv_text, finish, table
 from uqsphere.uq import LEVEL_TEXT
 
@@ -73,7 +73,7 @@ def _run(chosen: argparse.Namespace) -> None:
             head = ["sieve [m]", "feed", "passing", "low", "high"]
             files["product.csv"] = csv_text(rows, head)
     for warning in dict.fromkeys(warnings):
-        print(f"note: {warning}", file=sys.stderr)
+        tell(f"note: {warning}")
     chosen.out = chosen.out or Path(f"{chosen.file.stem}-{chosen.command}")
     finish(chosen, content, text, files)
 

@@ -64,13 +64,12 @@ def load_classes(asked: SizesTable, folder: Path) -> Classes:
     edges = top * asked.ratio ** -np.arange(asked.classes + 1, dtype=float)
     share = np.clip(passing(edges), 0.0, None)
     cut = 1.0 - share[0]
-    if asked.law != "table" and cut > 1e-6:
-        notes.append(_cut(cut, f"top = {top * 1e3:.4g} mm"))
+    if cut > 1e-6:
+        notes.append(
+            f"{cut:.2g} of the mass is coarser than {top * 1e3:.4g} mm: it is cut and the rest is "
+            "scaled"
+        )
     return Classes(edges, -np.diff(share, append=0.0) / share[0], notes)
-
-
-def _cut(share: float, place: str) -> str:
-    return f"{share:.2g} of the mass is coarser than {place}: it is cut and the rest is scaled"
 
 
 def _law(asked: SizesTable, size: Array) -> Array:
@@ -127,8 +126,6 @@ def _sieves(
             f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has "
             "no size; add top, the size that all passes"
         )
-    elif left > 1e-4:
-        notes.append(_cut(left, "the coarsest sieve"))
     # below the finest sieve the share goes with a power of the size, that of the first two sieves
     power = 1.0
     if len(share) > 1 and share[1] > share[0] > 0.0:

@@ -1,12 +1,11 @@
 """`uqsphere shpb records | fit-contact | plan`."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 
 from uqsphere.documents import load_document
-from uqsphere.errors import UsageError, as_text
+from uqsphere.errors import UsageError, as_text, tell
 from uqsphere.labs.files import chosen_command, csv_text, finish, table
 
 from .document import RecordDocument
@@ -47,7 +46,7 @@ def _records(chosen: argparse.Namespace) -> int:
             continue
         if not chosen.json:
             for change in test.changes:
-                print(f"{path.name}: {change.step}: {change.text}", file=sys.stderr)
+                tell(f"{path.name}: {change.step}: {change.text}")
         contents.append({"file": str(path), "title": asked.title, **sheet.document(test)})
         texts.append(f"{as_text(asked.title or path.name)}\n" + table(sheet.rows(test)))
         peak = test.peaks["B"]
@@ -73,7 +72,7 @@ def _fit_contact(chosen: argparse.Namespace) -> None:
 
     fit = fit_contact(load_document(chosen.file, ContactDocument), chosen.file.parent)
     for note in fit.notes:
-        print(f"note: {note}", file=sys.stderr)
+        tell(f"note: {note}")
     lines = fit.lines()
     text = f"{table(fit.rows())}\n\n{lines}"
     finish(chosen, {**asdict(fit), "toml": lines}, text, {"contact.toml": lines})

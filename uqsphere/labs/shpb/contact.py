@@ -237,7 +237,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
     law = law_of(best.x)
     depth = float(law.depth_at(highest))
     # correlated residuals count for fewer
-    squares = float(left @ left)
+    squares = 2.0 * best.cost
     correlation = float(left[1:] @ left[:-1]) / max(squares, 1e-300)
     if correlation <= 2.0 / math.sqrt(len(left)):
         correlation = 0.0

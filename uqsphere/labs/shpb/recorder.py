@@ -45,19 +45,6 @@ _UNEVEN, _FEW_TWICE = 0.01, 3
 # --- tables of recorders --------------------------------------------------------------------------
 
 
-class _Form(NamedTuple):
-    """How a file is written: divider and decimal mark, cells of a row, places of numbers.
-
-    whole : rows of numbers.
-    """
-
-    divider: str
-    mark: str
-    width: int
-    places: list[int]
-    whole: int
-
-
 def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str]:
     """The table of a recorder's file, and the text above its numbers.
 
@@ -77,8 +64,11 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     if len(live) > _LONG:
         skipped = len(live) // 2
     looked_at = dict([*live.items()][skipped:][:_LOOKED_AT]) or live
-    forms = [_form_of(looked_at, written) for written in _WRITTEN]
-    divider, mark, width, places, whole = max(forms, key=lambda f: (min(len(f.places), 2), f.whole))
+    forms = {written: _form_of(looked_at, *written) for written in _WRITTEN}
+    written = max(forms, key=lambda written: forms[written][0])
+    (_, whole), width, places = forms[written]
+    divider = written[0]
+    mark = written[1]
     if not whole:
         raise TableError(
             f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
@@ -125,10 +115,12 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
     return tables.table_of(name, chosen, notes, mark), "\n".join(metadata)
 
 
-def _form_of(lines: dict[int, str], written: str) -> _Form:
-    """The columns that contain numbers, with words in less than half of the rows."""
-    divider = written[0]
-    mark = written[1]
+def _form_of(
+    lines: dict[int, str], divider: str, mark: str
+) -> tuple[tuple[int, int], int, list[int]]:
+    """How well a divider and a decimal mark fit, by columns up to two and rows of numbers; the
+    cells of a row; and the places of the columns that contain numbers, with words in less than half
+    of the rows."""
     is_number = NUMBER[mark].fullmatch
     rows = [row for row in cells_of(lines, divider).values() if any(map(is_number, row))]
     width = mode([*map(len, rows)] or [0])
@@ -139,7 +131,7 @@ def _form_of(lines: dict[int, str], written: str) -> _Form:
         if any(map(is_number, column)) and 2 * numbers > len(column):
             places.append(place)
     whole = sum(_has_numbers(row, places, mark) for row in rows)
-    return _Form(divider, mark, width, places, whole)
+    return (min(len(places), 2), whole), width, places
 
 
 def _has_numbers(row: list[str], places: list[int], mark: str) -> bool:
@@ -448,21 +440,19 @@ def _repeats(column: Column, time: Array, unit: str) -> bool:
 def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array:
     """A column as strain."""
     dimension, unit = column.unit(bar.unit)
+    factor = UNITS.get(dimension, {}).get(unit, 1.0)
+    text = f"is strain in {unit}"
     if not unit:
-        factor = 1.0
         text = "has no unit: strain is taken"
-    elif dimension == "strain":
-        factor = UNITS["strain"][unit]
-        text = f"is strain in {unit}"
     elif dimension == "voltage":
         if not bar.excitation:
             raise UsageError(
                 f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
                 "(a number, volts)"
             )
-        factor = UNITS["voltage"][unit] * bar.strain_per_volt
+        factor *= bar.strain_per_volt
         text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
-    else:
+    elif dimension != "strain":
         raise UsageError(
             f"{name}: its unit must be strain, microstrain, % or one of "
             f"{', '.join(UNITS['voltage'])}, not {unit!r}"
