@@ -563,6 +563,9 @@ def test_a_sieve_table_that_ends_early(tmp_path: Path) -> None:
         sieved(tmp_path, "sieve [um],passing_percent\n100,0.1\n150,0.986\n")
     near = sieved(tmp_path, "sieve [um],passing_percent\n100,10\n150,98\n")
     assert "0.02 of the mass" in near.notes[0]
+    # a top below sieves that pass more cuts these, which is told as for a law
+    cut = sieved(tmp_path, "sieve [um],passing_percent\n100,60\n150,100\n", top="100 um")
+    assert cut.notes == ["0.4 of the mass is coarser than 0.1 mm: it is cut and the rest is scaled"]
 
 
 def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
