@@ -546,6 +546,35 @@ def test_a_small_target_has_a_number(aim: str, strength: Any, target: float, saf
     assert 0.99 < ratio < 1.1
 
 
+@pytest.mark.parametrize(
+    ("seed", "grows"),
+    [
+        # one row of 1024 fails where the unsafe end passes the target: more of them tell there
+        (8, True),
+        # every replicate has the same five failures
+        (3, False),
+    ],
+)
+def test_the_number_of_counted_rows_is_as_sharp_as_they_allow(seed: int, grows: bool) -> None:
+    study = Study(
+        inputs={"load": LOAD, "factor": 2.0},
+        outputs="y",
+        seed=seed,
+        limits={"a": limit("survive", 0.01, 1.0)},
+        margins={"solve": "factor", "between": [0.05, 20.0]},
+        analysis=LOOSE,
+    )
+
+    def loaded(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": x["load"] * x["factor"] if grows else x["load"] / x["factor"]}
+
+    (decision,) = uqsphere.run(study, loaded).results.decisions
+    assert decision.use is not None
+    factor = decision.use.value if grows else 1.0 / decision.use.value
+    allowed = stats.norm.sf((0.5 * SCATTER**2 - math.log(factor)) / SCATTER)
+    assert 0.008 < allowed <= 0.01
+
+
 @pytest.mark.parametrize("rank", [-0.95, 0.95])
 def test_strengths_that_depend_on_each_other_add_up_as_they_do(rank: float) -> None:
     weibull = '{ dist = "weibull", mean = "20 kN", modulus = 6 }'

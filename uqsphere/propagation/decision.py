@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -151,8 +152,11 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
         number = settled.number
         line = settled.line
         neighbours = 1
-        if number is None:  # too few rows leave much possible that more of them would rule out
-            number = settled.best_estimate
+        if number is None:
+            # too few rows leave much possible that more of them would rule out: where the unsafe
+            # end passes the target, or all along the safe side
+            crossings = [settled.margin(doubt.limit, doubt.curve) for doubt in settled.doubts]
+            number = settled.most_conservative(crossings) or settled.best_estimate
             neighbours = 2
         if number is None or number == math.inf:
             break
@@ -171,7 +175,11 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
             if (accurate and settled.number is not None) or count >= _MOST:
                 break
             count *= 2
-        above = int(np.searchsorted(line.values, number))
+        # a number that is a value of the line is held by its neighbour on the unsafe side
+        side: Literal["left", "right"] = "right"
+        if settled.safe_above:
+            side = "left"
+        above = int(np.searchsorted(line.values, number, side))
         wanted = line.values[max(above - neighbours, 0) : above + neighbours]
         if not there:
             wanted = (*wanted, number)

@@ -415,15 +415,13 @@ class Curves:
         Where its rows are counted, and none fails, failures are as probable as a count of none
         allows; where few rows carry them, as these few leave possible.
         """
-        counted = self._counted(limit)
         ends = []
-        for row, sample, carrying in zip(
-            means, self.line.samples.values(), carried_by, strict=True
-        ):
+        for row, count, carrying in zip(means, self._counts(limit), carried_by, strict=True):
             p = row.mean()
             q = (1.0 - row).mean()
-            total = sample.size if counted else math.inf
-            low, high, _ = probability_ends(p, q, spread(row), row.size, total)
+            # counts that agree in all replicates are still known to one row only
+            error = spread(row) or spread(row, 1.0 / count)
+            low, high, _ = probability_ends(p, q, error, row.size, row.size * count)
             if carrying < FEW:
                 most = float(special.gammaincinv(carrying + 1.0, ENDS[1])) / carrying
                 low = min(low, 1.0 - min(q * most, 1.0))
@@ -467,6 +465,11 @@ class Curves:
         if self.aim.survive:
             return bool(np.nanmin(state.demands) <= low)
         return bool(np.nanmax(state.demands) >= high)
+
+    def _counts(self, limit: Limit) -> Array:
+        """The rows (K,) of a replicate at each value; infinite where they are not counted."""
+        rows = [sample.count for sample in self.line.samples.values()]
+        return np.where(self._counted(limit), rows, math.inf)
 
     def assumed(self, mode: AssumedMode) -> Doubt:
         """A failure mode by itself, its strength at the middle of the library's range."""
@@ -560,6 +563,6 @@ class Curves:
             **vars(alternative),
             single=curves[0],
             curve=curves[1],
-            error=spreads(rows.T),
+            error=spreads(rows.T, 1.0 / self._counts(alternative.limit)),
             margin=self.margin(alternative.limit, curves[1]),
         )

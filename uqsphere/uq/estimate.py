@@ -196,7 +196,7 @@ def carriers(weights: Array) -> float:
     return float(shares.sum() ** 2 / (shares**2).sum())
 
 
-def spreads(rows: Array, cell: float = 0.0) -> Values:
+def spreads(rows: Array, cell: Values = 0.0) -> Values:
     """Standard errors (...) of the means of the answers (R, ...) of replicates.
 
     Counts that agree in all replicates are still known to one cell only, whose length `cell` is the

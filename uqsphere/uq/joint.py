@@ -262,7 +262,7 @@ class Joint:
 
     def scores(self, normals: Array) -> Array:
         """Independent standard normals (..., d) -> dependent normal scores (..., d)."""
-        flat = normals.reshape(math.prod(normals.shape[:-1]), -1)
+        flat = normals.reshape(math.prod(normals.shape[:-1]), normals.shape[-1])
         return self.redrawn((), flat, flat).reshape(normals.shape)
 
     def physical(self, normals: Array) -> Array:
