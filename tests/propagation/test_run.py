@@ -565,8 +565,11 @@ def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None
     assert rows.head(50).equals(uqsphere.design(given, 50))
     assert [*uqsphere.sample(given, 3).columns] == ["a", "b"]
     assert uqsphere.sample(given, 3).equals(uqsphere.sample(given, 3))
+    assert uqsphere.sample(given, 0).shape == uqsphere.design(given, 0).shape == (0, 2)
     rows["y"], rows["w"] = linear(rows)["y"], np.exp(rows["a"] + 0.3 * rows["b"])
     run = uqsphere.analyse(given, rows.sample(frac=1.0, random_state=1)[["w", "b", "y", "a"]])
+    labelled = rows.rename_axis("row").to_xarray()
+    assert uqsphere.analyse(given, labelled).answers.equals(uqsphere.analyse(given, rows).answers)
     rho = 2.0 * math.sin(math.pi * 0.4 / 6.0)
     sd = math.sqrt(25.0 + 24.0 * rho)
     assert holds(run, "y", "sd", sd)

@@ -468,8 +468,7 @@ class Curves:
 
     def _counts(self, limit: Limit) -> Array:
         """The rows (K,) of a replicate at each value; infinite where they are not counted."""
-        rows = [sample.count for sample in self.line.samples.values()]
-        return np.where(self._counted(limit), rows, math.inf)
+        return np.where(self._counted(limit), self.line.counts, math.inf)
 
     def assumed(self, mode: AssumedMode) -> Doubt:
         """A failure mode by itself, its strength at the middle of the library's range."""

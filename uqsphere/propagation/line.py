@@ -77,12 +77,13 @@ class Line:
         )
 
     @cached_property
-    def _counts(self) -> list[int]:
+    def counts(self) -> list[int]:
+        """The rows (K,) of a replicate at each value."""
         return [sample.count for sample in self.samples.values()]
 
     def seen(self, probability: Array) -> Array:
         """Probabilities (..., K, R): none seen in the rows of a value stands for half a row."""
-        half = 0.5 / (np.array(self._counts)[:, None] * self.rows.replicates)
+        half = 0.5 / (np.array(self.counts)[:, None] * self.rows.replicates)
         probability = np.where(probability > 0.0, probability, half)
         return np.where(probability < 1.0, probability, 1.0 - half)
 
@@ -103,15 +104,15 @@ class Line:
         state = state_of(self.design, limit, self.rows)
         margins = self.design.study.margins
         factors = [demand_factor(margins, limit, value) for value in self.values]
-        return replace(state, demands=state.demands * np.repeat(factors, self._counts))
+        return replace(state, demands=state.demands * np.repeat(factors, self.counts))
 
     def by_value(self, rows: Array) -> list[Array]:
         """Rows (R, N) apart, a part for each value."""
-        return np.split(rows, np.cumsum(self._counts)[:-1], axis=1)
+        return np.split(rows, np.cumsum(self.counts)[:-1], axis=1)
 
     def means(self, rows: Array) -> Array:
         """The mean (K, R) at each value of probabilities (R, N), each replicate by itself."""
-        starts = np.cumsum([0, *self._counts[:-1]])
+        starts = np.cumsum([0, *self.counts[:-1]])
         lost = np.isnan(rows)
         kept = np.add.reduceat(~lost, starts, axis=1, dtype=float)
         total = np.add.reduceat(np.where(lost, 0.0, rows), starts, axis=1)

@@ -23,7 +23,7 @@ from uqsphere.uq import Sample, sobol_points
 from uqsphere.uq.corrected import NODES
 from uqsphere.uq.estimate import count_bound
 from uqsphere.uq.response import FOLDS, Response, cross_fit
-from uqsphere.uq.rows import check_rows
+from uqsphere.uq.rows import as_table, check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
 
 from .chaos import points_of
@@ -115,6 +115,7 @@ def known_rows(design: Design, frame: Any) -> tuple[Sample, Callable[[Columns], 
             "itself"
         )
     asked = *inputs, *study.outputs
+    frame = as_table(frame, asked)
     if not hasattr(frame, "fillna"):
         raise UsageError(
             f"analyse takes a DataFrame with {', '.join(asked)}, not {type(frame).__name__}"
