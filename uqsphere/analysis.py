@@ -96,7 +96,8 @@ class Answers(dict[Any, Any]):
         """
         from pandas import DataFrame
 
-        columns = ["order", "name", "value", "low", "high", "std_error", "evaluations", "method"]
+        columns = ["order", "name", "value", "low", "high", "std_error"]
+        columns += ["evaluations", "method", "reason"]
         rows = []
         for key, content in self.items():
             order, estimates = (key, content) if isinstance(content, dict) else ("", {key: content})
@@ -104,7 +105,7 @@ class Answers(dict[Any, Any]):
                 {"order": order, "name": name, **vars(estimate)}
                 for name, estimate in estimates.items()
             ]
-        return DataFrame(rows, columns=[*columns, "reason"])
+        return DataFrame(rows, columns=columns)
 
 
 def joint(

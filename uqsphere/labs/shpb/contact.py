@@ -200,7 +200,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         """The law of logarithms of E*, onset and H/p_y, of the touch, and of the pile-up if it is
         free."""
         # numbers of numpy: a pile-up of 1 divides by zero
-        modulus, onset, ratio = np.array([*map(math.exp, x[:3])])
+        modulus, onset, ratio = np.exp(x[:3])
         pile_up: Values = asked.pile_up or x[4]
         return Face(
             modulus=modulus,
@@ -294,9 +294,9 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
             notes.append(
                 "the platens yield near this onset too: the fitted law may be that of the platens"
             )
-    rest = [1.0 / end - soft for end in astuple(modulus)]
-    if min(rest) > 0.0:
-        sphere_modulus = Fitted(*((1.0 - asked.nu**2) / compliance for compliance in rest))
+    compliances = 1.0 / np.array(astuple(modulus)) - soft
+    if compliances.min() > 0.0:
+        sphere_modulus = Fitted(*(1.0 - asked.nu**2) / compliances)
     return ContactFit(
         onset_pressure=onset,
         hardness=hardness,

@@ -378,7 +378,7 @@ def _about_rest(trace: Trace, end: int, limit: int) -> Signal:
         third = early // 3
         climb = float(np.median(values[2 * third : early]) - np.median(values[:third]))
         slope = climb / (2.0 * third)
-        left = values[:early] - slope * places[:early]
+        left = (values - slope * places)[:early]
         level = np.median(left)
         scatter = _ROBUST * np.median(np.abs(left - level))
         if abs(climb) <= 7.0 * scatter / math.sqrt(third):

@@ -45,7 +45,7 @@ _UNEVEN, _FEW_TWICE = 0.01, 3
 # --- tables of recorders --------------------------------------------------------------------------
 
 
-def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str]:
+def read_recorded(path: Path) -> tuple[Table, str]:
     """The table of a recorder's file, and the text above its numbers.
 
     Columns may be divided by blanks too, with metadata above the numbers, with or without headings.
@@ -56,7 +56,7 @@ def read_recorded(path: Path, largest: int = tables.LARGEST) -> tuple[Table, str
         `uqsphere.files.read_given`.
     """
     name = path.name
-    lines, notes = tables.read_lines(path, largest)
+    lines, notes = tables.read_lines(path, _LARGEST)
     # without quotes around a whole line
     lines = {number: re.sub('^"([^"]*)"$', r"\1", line) for number, line in lines.items()}
     live = {number: line for number, line in lines.items() if not is_comment(line)}
@@ -252,7 +252,7 @@ def read_traces(
     asked = document.record
     files = []
     for file in (asked.file, *asked.more_files):
-        table, above = read_recorded(folder / file, _LARGEST)
+        table, above = read_recorded(folder / file)
         for note in table.notes:
             changes.add("read", note)
         columns = []
