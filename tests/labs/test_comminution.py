@@ -135,15 +135,14 @@ def test_thresholds_of_equal_blows(gamma: str) -> None:
 @pytest.mark.parametrize("case", CASES["law"], ids=str)
 def test_broken_share_and_its_inverse(case: dict[str, float]) -> None:
     ratio = case["ratio"] or math.inf
-    share = laws.broken_share("lognormal", case["e"], case["E50"], case["sigma"], ratio)
+    lognormal = laws.Scatter("lognormal", case["E50"], case["sigma"], ratio)
+    share = lognormal.broken_share(case["e"])
     assert float(share) == pytest.approx(case["cdf"], rel=EXACT)
     if 0.0 < case["cdf"] < 1.0 - 1e-9:
-        back = laws.energy_at("lognormal", share, case["E50"], case["sigma"], ratio)
-        assert float(back) == pytest.approx(case["e"], rel=1e-9)
-    weibull = laws.broken_share("weibull", case["e"], case["E50"], 3.0, ratio)
-    assert float(laws.energy_at("weibull", weibull, case["E50"], 3.0, ratio)) == pytest.approx(
-        case["e"], rel=1e-9
-    )
+        assert float(lognormal.energy_at(share)) == pytest.approx(case["e"], rel=1e-9)
+    weibull = laws.Scatter("weibull", case["E50"], 3.0, ratio)
+    back = weibull.energy_at(weibull.broken_share(case["e"]))
+    assert float(back) == pytest.approx(case["e"], rel=1e-9)
 
 
 @pytest.mark.parametrize("case", CASES["size_laws"], ids=str)
@@ -214,7 +213,7 @@ def made_up(rng: np.random.Generator, each: int = 12) -> Specimens:
     """
     d = np.repeat([0.002, 0.005, 0.01, 0.02], each)
     median = laws.median_energy("tavares", d, 60.0, 1.1, 0.006)
-    return specimens(d, laws.energy_at("lognormal", rng.random(len(d)), median, 0.55, 4.0))
+    return specimens(d, laws.Scatter("lognormal", median, 0.55, 4.0).energy_at(rng.random(len(d))))
 
 
 @pytest.fixture(scope="module")
@@ -330,7 +329,7 @@ def test_priors_of_both_laws_have_one_scatter() -> None:
 def test_repeated_blows_determine_gamma() -> None:
     rng = np.random.default_rng(11)
     n, blows = 60, 12
-    e = laws.energy_at("lognormal", rng.random(n), 100.0, 0.5, 4.0)
+    e = laws.Scatter("lognormal", 100.0, 0.5, 4.0).energy_at(rng.random(n))
     u = laws.thresholds(3.0, blows)
     series = np.zeros((n, blows))
     broke = np.zeros(n, dtype=bool)

@@ -60,15 +60,16 @@ class EnergyModel(NamedTuple):
     classes: tuple[float, ...] = ()
     gamma: float | None = None
 
-    def median(self, p: Mapping[str, Values], diameter: Values) -> Values:
-        """E50 [J/kg] of parameters (not logarithms) at diameters; they broadcast."""
-        if self.size != "class":
-            lead = laws.SIZES[self.size][0]
-            phi = p["phi"]
-            return laws.median_energy(self.size, diameter, p[lead], phi, p.get("d0", math.nan))
-        away = np.abs(np.log(diameter[..., None] / np.array(self.classes)))
-        each = [p[f"e50_{k + 1}"] for k in range(len(self.classes))]
-        return np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)]
+    def scatter(self, p: Mapping[str, Values], diameter: Values) -> laws.Scatter:
+        """Fracture energies by parameters (not logarithms) at diameters; they broadcast."""
+        if self.size == "class":
+            away = np.abs(np.log(diameter[..., None] / np.array(self.classes)))
+            each = [p[f"e50_{k + 1}"] for k in range(len(self.classes))]
+            median = np.concatenate(each, axis=-1)[..., away.argmin(axis=-1)]
+        else:
+            lead = p[laws.SIZES[self.size][0]]
+            median = laws.median_energy(self.size, diameter, lead, p["phi"], p.get("d0", math.nan))
+        return laws.Scatter(self.law, median, p[laws.LAWS[self.law]], self.ratio)
 
 
 class Posterior(NamedTuple):
@@ -93,27 +94,25 @@ class Posterior(NamedTuple):
 
     def median(self, diameter: Values) -> Array:
         """E50 (D, m) [J/kg] at diameters (m,)."""
-        return self._each(diameter, 0.0, lambda law, value, median, *_: median)
+        return self._each(diameter, 0.0, lambda scatter, _: scatter.median)
 
     def broken(self, energy: Values, diameter: Values) -> Array:
         """Share (D, m) that one blow of an energy, (m,) or (D, m), breaks at diameters (m,)."""
-        return self._each(diameter, energy, laws.broken_share)
+        return self._each(diameter, energy, laws.Scatter.broken_share)
 
     def energy_at(self, share: Values, diameter: Values) -> Array:
         """The energy (D, m) [J/kg] that breaks a share, (m,) or (D, m), at diameters (m,)."""
-        return self._each(diameter, share, laws.energy_at)
+        return self._each(diameter, share, laws.Scatter.energy_at)
 
     def _each(self, diameter: Values, values: Values, function: Callable[..., Array]) -> Array:
-        """A function of law, value, median, shape and ratio for every draw and diameter."""
+        """A function of scatter and value for every draw and diameter."""
         diameter = np.atleast_1d(diameter)
         answers = np.empty((len(self.law), len(diameter)))
         values = np.broadcast_to(values, answers.shape)
         for k, model in enumerate(self.models):
             rows = np.flatnonzero(self.law == k)
             p = {name: self.parameters[name][rows, None] for name in model.priors}
-            median = model.median(p, diameter)
-            shape = p[laws.LAWS[model.law]]
-            answers[rows] = function(model.law, values[rows], median, shape, model.ratio)
+            answers[rows] = function(model.scatter(p, diameter), values[rows])
         return answers
 
     def is_untested(self, diameter: Values) -> Values:
@@ -137,14 +136,14 @@ class Posterior(NamedTuple):
         """
         median = self.median(diameter)[:, 0]
         bounded = np.array([model.law == "lognormal" for model in self.models])[self.law]
-        p: dict[str, Any] = {"sigma": np.nan, "modulus": np.nan, **self.parameters}
-        shape = np.where(bounded, p["sigma"], 0.6 * p["modulus"])
+        shape = self._each(diameter, 0.0, lambda scatter, _: scatter.shape)[:, 0]
+        shape[~bounded] *= 0.6
         scale = np.where(bounded, median, median / math.log(2.0) ** (1.0 / shape))
         if not np.isfinite(scale).all():
             raise UsageError(
-                f"the fit leaves Weibull moduli down to {np.nanmin(p['modulus']):.2g} possible, "
-                "with strengths beyond the largest number: test more, or give a larger "
-                "prior.modulus"
+                "the fit leaves Weibull moduli down to "
+                f"{np.nanmin(self.parameters['modulus']):.2g} possible, with strengths beyond the "
+                "largest number: test more, or give a larger prior.modulus"
             )
         columns = {
             "distribution": np.where(bounded, "lognormal", "weibull"),
@@ -197,14 +196,16 @@ def log_likelihoods(model: EnergyModel, tests: Specimens) -> Callable[[Array], A
     @quiet
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
-        median = model.median(p, tests.diameter)
-        shape = p[laws.LAWS[model.law]]
+        scatter = model.scatter(p, tests.diameter)
+        median = scatter.median
         ends = bounds(x)
         likelihood = np.empty(median.shape)
-        for rows, function in ((tests.exact, laws.log_density), (~tests.exact, laws.log_between)):
-            likelihood[..., rows] = function(
-                model.law, ends[..., rows], median[..., rows], shape, model.ratio
-            )
+        for rows, function in (
+            (tests.exact, laws.Scatter.log_density),
+            (~tests.exact, laws.Scatter.log_between),
+        ):
+            of_rows = scatter._replace(median=median[..., rows])
+            likelihood[..., rows] = function(of_rows, ends[..., rows])
         return tests.weight * likelihood
 
     return value

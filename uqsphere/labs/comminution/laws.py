@@ -19,6 +19,7 @@ others, Mineral Comminution Circuits, 1996.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,64 +32,69 @@ SIZES = {"tavares": ("e_inf", "d0", "phi"), "king": ("e_inf", "d0", "phi"), "pow
 LAWS = {"lognormal": "sigma", "weibull": "modulus"}
 
 
-@quiet
-def standard(energy: Values, median: Values, sigma: Values, ratio: Values) -> Values:
-    """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
-    top = ratio * median
-    left = np.where(energy < top, 1.0 - energy / top, 0.0)
-    return (np.log(energy / median) - np.log(left)) / sigma
+class Scatter(NamedTuple):
+    """The scatter of fracture energies: (L1) for the law "lognormal", (L2) for "weibull".
 
+    median : E50 [J/kg]; shape : sigma, or the modulus m; ratio : E_max/E50 of (L1).
+    """
 
-@quiet
-def hazard(energy: Values, median: Values, modulus: Values) -> Values:
-    """-ln(1 - P) of (L2)."""
-    return math.log(2.0) * (energy / median) ** (0.6 * modulus)
+    law: str
+    median: Values
+    shape: Values
+    ratio: Values
 
+    @quiet
+    def standard(self, energy: Values) -> Values:
+        """z = ln(e*/E50)/sigma of (L1); -inf without energy, inf from E_max on."""
+        top = self.ratio * self.median
+        left = np.where(energy < top, 1.0 - energy / top, 0.0)
+        return (np.log(energy / self.median) - np.log(left)) / self.shape
 
-def broken_share(law: str, energy: Values, median: Values, shape: Values, ratio: Values) -> Values:
-    """P(e): share of particles that one blow of e [J/kg] breaks; `shape` is sigma, or the modulus
-    m."""
-    if law == "lognormal":
-        return special.ndtr(standard(energy, median, shape, ratio))
-    return -np.expm1(-hazard(energy, median, shape))
+    @quiet
+    def hazard(self, energy: Values) -> Values:
+        """-ln(1 - P) of (L2)."""
+        return math.log(2.0) * (energy / self.median) ** (0.6 * self.shape)
 
+    def broken_share(self, energy: Values) -> Values:
+        """P(e): share of particles that one blow of e [J/kg] breaks."""
+        if self.law == "lognormal":
+            return special.ndtr(self.standard(energy))
+        return -np.expm1(-self.hazard(energy))
 
-def energy_at(law: str, share: Values, median: Values, shape: Values, ratio: Values) -> Values:
-    """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
-    if law == "lognormal":
-        stretched = median * np.exp(shape * special.ndtri(share))
-        return stretched / (1.0 + stretched / (ratio * median))
-    hazards = -np.log1p(-share) / math.log(2.0)
-    return median * hazards ** (1.0 / (0.6 * shape))
+    def energy_at(self, share: Values) -> Values:
+        """The energy [J/kg] that breaks a share: the inverse of `broken_share`."""
+        if self.law == "lognormal":
+            stretched = self.median * np.exp(self.shape * special.ndtri(share))
+            return stretched / (1.0 + stretched / (self.ratio * self.median))
+        hazards = -np.log1p(-share) / math.log(2.0)
+        return self.median * hazards ** (1.0 / (0.6 * self.shape))
 
+    def log_density(self, ends: Array) -> Values:
+        """ln f(e) at the upper one of two ends (2, ...) [J/kg]."""
+        energy = ends[1]
+        if self.law == "weibull":
+            exponent = self.hazard(energy)
+            return np.log(0.6 * self.shape * exponent / energy) - exponent
+        z = self.standard(energy)
+        top = self.ratio * self.median
+        density = -0.5 * z * z - np.log(self.shape * math.sqrt(2.0 * math.pi) * energy)
+        return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
 
-def log_density(law: str, ends: Array, median: Array, shape: Array, ratio: float) -> Values:
-    """ln f(e) at the upper one of two ends (2, ...) [J/kg]."""
-    energy = ends[1]
-    if law == "weibull":
-        exponent = hazard(energy, median, shape)
-        return np.log(0.6 * shape * exponent / energy) - exponent
-    z = standard(energy, median, shape, ratio)
-    top = ratio * median
-    density = -0.5 * z * z - np.log(shape * math.sqrt(2.0 * math.pi) * energy)
-    return np.where(energy < top, density - np.log1p(-energy / top), -np.inf)
-
-
-def log_between(law: str, ends: Array, median: Array, shape: Array, ratio: float) -> Array:
-    """ln(P(high) - P(low)) of two ends (2, ...) [J/kg]."""
-    if law == "weibull":
-        low, high = (hazard(end, median, shape) for end in ends)
-        larger = -low
-        gap = high - low
-    else:
-        low, high = (standard(end, median, shape, ratio) for end in ends)
-        # the normal distribution is even: both ends in the lower tail
-        upper = low + high > 0.0
-        larger = special.log_ndtr(np.where(upper, -low, high))
-        gap = larger - special.log_ndtr(np.where(upper, -high, low))
-    h = np.maximum(gap, 0.0)  # and ln(1 - exp(-h))
-    rest = np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
-    return np.where(np.isneginf(larger), -np.inf, larger + rest)
+    def log_between(self, ends: Array) -> Array:
+        """ln(P(high) - P(low)) of two ends (2, ...) [J/kg]."""
+        if self.law == "weibull":
+            low, high = map(self.hazard, ends)
+            larger = -low
+            gap = high - low
+        else:
+            low, high = map(self.standard, ends)
+            # the normal distribution is even: both ends in the lower tail
+            upper = low + high > 0.0
+            larger = special.log_ndtr(np.where(upper, -low, high))
+            gap = larger - special.log_ndtr(np.where(upper, -high, low))
+        h = np.maximum(gap, 0.0)  # and ln(1 - exp(-h))
+        rest = np.where(h < 1.0, np.log(-np.expm1(-h)), np.log1p(-np.exp(-np.maximum(h, 1.0))))
+        return np.where(np.isneginf(larger), -np.inf, larger + rest)
 
 
 @quiet
