@@ -81,8 +81,7 @@ def particle_energies(
             "study credits it with its share only"
         )
         return energy, notes
-    share = laws.particle_share(stiffness(material), stiffness(want.partner))
-    shares = np.full(len(energy), share)
+    shares = np.full_like(energy, laws.particle_share(stiffness(material), stiffness(want.partner)))
     if meaning == "input":
         for falling in (True, False):
             rows = (rig == "drop_weight") == falling
@@ -107,7 +106,7 @@ def offered_shares(
     import uqsphere
 
     particle = asked.material
-    elastic = np.full(len(energy), laws.particle_share(stiffness(particle), stiffness(partner)))
+    elastic = np.full_like(energy, laws.particle_share(stiffness(particle), stiffness(partner)))
     if not (particle.density and partner.density):
         return elastic, []
     sphere = _table(particle, "sphere")

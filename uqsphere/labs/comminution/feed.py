@@ -272,9 +272,9 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
         # so many particles of each class, which break or not
         count = np.round(mass * feed.lot / each)
         few = count < 1e8
-        many = np.maximum(count, 1.0)
+        many = np.maximum(count[few], 1.0)
         drawn = broken.copy()
-        drawn[:, few] = rng.binomial(many[few].astype(np.int64), drawn[:, few]) / many[few]
+        drawn[:, few] = rng.binomial(many.astype(int), drawn[:, few]) / many
         lots = drawn @ mass
         content["lot"] = {
             "mass": feed.lot,
