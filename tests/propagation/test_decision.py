@@ -127,6 +127,28 @@ def test_few_tests_give_the_tolerance_bound_of_their_strength(tmp_path: Path) ->
     assert medians == sorted(medians)
 
 
+@pytest.mark.parametrize("between", ["", "[0.05, 20.0]", "[0.39, 0.41]"])
+def test_what_governs_does_not_depend_on_where_a_number_is_searched(
+    between: str, tmp_path: Path
+) -> None:
+    values = stats.weibull_min.ppf((np.arange(20) + 0.5) / 20.0, 10.0)
+    (tmp_path / "tests.csv").write_text("s\n" + "\n".join(map(str, values)), encoding="utf-8")
+    text = """
+        inputs.load = { dist = "lognormal", mean = 0.4, cov = 0.1 }
+        outputs.names = ["y", "z"]
+        limits.a.quantity = "y"
+        limits.a.target = 0.05
+        limits.a.strength = { file = "tests.csv", column = "s", fit = "weibull" }
+        analysis.accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.2 }
+        """
+    if between:
+        text += f'margins = {{ solve = "load", between = {between} }}'
+    study = load_study(tmp_path / "study.toml", text=text)
+    (decision,) = uqsphere.run(study, doubled).results.decisions
+    assert decision.verdict == "met"
+    assert [row.code for row in decision.doubts if row.governs] == ["tests"]
+
+
 def test_more_tests_promise_no_less_and_cut_modes_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -120,6 +120,14 @@ def test_a_grid_that_does_not_increase_is_refused(grid: list[float]) -> None:
         fragility(np.array(grid), np.zeros((len(grid), 3)), (0.5,), samples=10)
 
 
+def test_a_probability_inside_the_curve_is_not_said_to_be_outside() -> None:
+    """The last step of a smooth curve hides a probability that the curve passes."""
+    curve = np.repeat(np.array([1e-9, 1e-3, 0.5, 0.9998, 1.0, 1.0])[:, None], 8, axis=1)
+    found = fragility(np.arange(1.0, 7.0), curve, (0.999999, 1e-12), samples=32)
+    assert found.values[0.999999].reason == "256 samples at a value are too few to show it"
+    assert "it runs from 1e-09 to 1" in str(found.values[1e-12].reason)
+
+
 def test_counts_that_cannot_show_a_probability_give_no_value() -> None:
     """Sixteen replicates of sixteen samples: five would have to show it."""
     uniforms = np.random.default_rng(4).random((16, 16))

@@ -82,38 +82,51 @@ class Settled(Curves):
 
     @property
     def setting(self) -> Doubt:
-        """The first doubt whose margin is the number, or as good as that."""
+        """The first doubt whose margin is the number, or as good as that; without a number the one
+        that misses its target, or comes nearest to it.
+        """
+        if self.use is None:
+            alike = [doubt for doubt in self.doubts if doubt.margin == self.number]
+            return max(alike, key=self._nearness)
+        number = self.line.place_of(self.use)
+        room = CLOSE * np.ptp(self.line.places)
+        return next(
+            doubt
+            for doubt in self.doubts
+            if doubt.margin is not None and abs(self.line.place_of(doubt.margin) - number) <= room
+        )
 
-        def apart(doubt: Doubt) -> float:
-            if doubt.margin == self.number:
-                return 0.0
-            if doubt.margin is None or self.number is None:
-                return math.inf
-            return abs(float(self.line.place_of(doubt.margin) - self.line.place_of(self.number)))
+    def _nearness(self, doubt: Doubt) -> float:
+        """The share of a target that is used up where doubts are weighed; 1 where it is missed."""
+        p = doubt.limit.missed(self.line.at(doubt.curve, self.weighed_at))
+        return min(float(p) / doubt.limit.target, 1.0)
 
-        room = 0.0
-        if len(self.line.values) > 1:
-            room = CLOSE * np.ptp(self.line.places)
-        return next(doubt for doubt in self.doubts if apart(doubt) <= room)
+    @property
+    def weighed_at(self) -> float:
+        """Where the doubts are weighed: at the number; without one at the safe end, which misses a
+        target, or at the unsafe end where the whole range keeps them all.
+        """
+        if self.use is not None:
+            return self.use
+        return self.ends[int(self.number == math.inf)]
 
     @cached_property
     def governing(self) -> Doubt:
-        """The doubt that sets the number: where most of the failures there, or at the safe end if
-        there is no number, are by another failure mode, that one as the study has it.
+        """The doubt that sets the number: where most of the failures there, or where doubts are
+        weighed if there is no number, are by another failure mode, that one as the study has it.
         """
         doubt = self.setting
         if not self.adds_up(doubt.limit):
             return doubt
-        at = self.use
-        if at is None:
-            at = self.ends[0]
         candidates = {doubt.limit.name: doubt}
         same_tests = next(group for group in self.aim.groups if doubt.limit in group)
         for other in (*self.doubts, *map(self.computed, self.aim.untargeted)):
             if self.adds_up(other.limit) and other.limit not in same_tests:
                 candidates.setdefault(other.limit.name, other)
         candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
-        return max(candidates.values(), key=lambda candidate: self.line.at(candidate.single, at))
+        return max(
+            candidates.values(), key=lambda doubt: self.line.at(doubt.single, self.weighed_at)
+        )
 
     def is_safe(self, value: float, margin: float) -> bool:
         """Whether a value of the free number lies on the safe side of a margin."""

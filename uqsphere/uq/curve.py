@@ -144,12 +144,13 @@ def _value(
     pooled = probabilities.mean(axis=1)
     centre = _crossing(places, pooled, target, least)
     if math.isnan(centre):
-        return absent(
+        reason = (
             f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
-            f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}",
-            METHOD,
-            evaluations,
+            f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}"
         )
+        if pooled.min() < target < pooled.max():
+            reason = f"{behind.min():.0f} samples at a value are too few to show it"
+        return absent(reason, METHOD, evaluations)
     k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
     counted = np.abs(pooled * behind - np.round(pooled * behind)).max() < 1e-6
     fewest = behind[k - 1 : k + 1].min()
