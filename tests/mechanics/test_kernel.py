@@ -139,11 +139,13 @@ def _same_bits(first: SceneAnswers, second: SceneAnswers, rows: Any) -> None:
         assert np.array_equal(first.values[name][rows], second.values[name], equal_nan=True), name
 
 
-@pytest.mark.parametrize("finite", [True, False])
-def test_a_row_depends_on_nothing_but_the_row(finite: bool) -> None:
-    count = 1100
-    # lighter spheres rattle through many more steps of the same kind
-    scene = random_scene(count, 7, lightest=1e-2)
+@pytest.mark.parametrize(
+    ("count", "lightest", "finite"),
+    # the lightest spheres rattle through many more steps of the same kind
+    [(1100, 1e-2, True), (1100, 1e-2, False), (60, 1e-4, True)],
+)
+def test_a_row_depends_on_nothing_but_the_row(count: int, lightest: float, finite: bool) -> None:
+    scene = random_scene(count, 7, lightest=lightest)
     if not finite:
         scene = Scene(columns=scene.columns, infinite=True)
         scene = Scene(
@@ -152,7 +154,7 @@ def test_a_row_depends_on_nothing_but_the_row(finite: bool) -> None:
     together = solve(scene, tolerance=1e-4, threads=1)
     _same_bits(together, solve(scene, tolerance=1e-4, threads=3), slice(None))
     shuffled = np.random.default_rng(8).permutation(count)
-    for rows in (shuffled, np.arange(count)[::-1], np.arange(13, 300), np.array([5])):
+    for rows in (shuffled, np.arange(count)[::-1], np.arange(13, count // 3), np.array([5])):
         part = Scene(
             columns={name: column[rows] for name, column in scene.columns.items()},
             infinite=scene.infinite,
