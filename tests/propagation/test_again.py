@@ -34,14 +34,16 @@ def test_every_shipped_study_runs_again_into_its_folder_and_once_more_after_an_i
     model = MODELS.get(path.stem)
     first = uqsphere.run(study, model, out=tmp_path)
     asked = []
+    # rows of a scene are asked for in one piece or two
+    pieces = 3 if model else 0
 
     def interrupted() -> bool:
         asked.append(1)
-        return len(asked) > 1
+        return len(asked) > pieces
 
     with contextlib.suppress(KeyboardInterrupt):  # where there is nothing to answer with yet
         uqsphere.run(study, model, out=tmp_path, stop=interrupted)
-    assert len(asked) > 1
+    assert len(asked) > pieces
     again = uqsphere.run(study, model, out=tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     log = (tmp_path / "log.txt").read_text(encoding="utf-8")
