@@ -419,9 +419,9 @@ class Curves:
         for row, count, carrying in zip(means, self._counts(limit), carried_by, strict=True):
             p = row.mean()
             q = (1.0 - row).mean()
-            # counts that agree in all replicates are still known to one row only
-            error = spread(row) or spread(row, 1.0 / count)
-            low, high, _ = probability_ends(p, q, error, row.size, row.size * count)
+            # a replicate knows what it counts to one row; of few rows their count says more
+            cell = 0.0 if carrying < FEW else 1.0 / count
+            low, high, _ = probability_ends(p, q, spread(row, cell), row.size, row.size * count)
             if carrying < FEW:
                 most = float(special.gammaincinv(carrying + 1.0, ENDS[1])) / carrying
                 low = min(low, 1.0 - min(q * most, 1.0))
