@@ -239,6 +239,8 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
             # what such polynomials miss is a deviation, of which the interval holds 95 %
             missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
             with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
+                if fit.log:  # an exponential follows them
+                    missed = 0.0
                 doubt = np.sqrt(error / max(shares @ (before - at_last) ** 2, 1e-300))
                 missed /= max(shares @ np.abs(own**2 - own[-1] ** 2)[:-1], 1e-300)
                 wrong += chance * float(made * min(max(2.0 * doubt + doubt**2, missed), 1.0))
