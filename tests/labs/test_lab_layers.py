@@ -23,6 +23,7 @@ ALLOWED = {
     "uqsphere.materials",
     "uqsphere.mechanics.contact",
     "uqsphere.mechanics.bars",
+    "uqsphere.mechanics.roots",
     "uqsphere.mechanics.yielding",
     "uqsphere.quantities",
     "uqsphere.report.figures",

@@ -53,8 +53,9 @@ def compare(runs: Sequence[Run], names: Names) -> pd.DataFrame:
 
     Columns: subject, answer, at, unit, for each run NAME its value; change, the largest against the
     first run, over its value (of a probability over its target, if it has one; of an index the
-    difference; never over less than the half-width of its interval); significant, whether the
-    values differ by more than their intervals.
+    difference; never over less than the half-width of its interval, nor, of a mean or a quantile,
+    than the standard deviation); significant, whether the values differ by more than their
+    intervals.
 
     Raises UsageError for fewer than two runs.
     """
@@ -88,6 +89,9 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
         scale = max(abs(values[0]), half_widths[0])
         if answer in INDICES:
             scale = 1.0
+        elif answer in OF_QUANTITIES:
+            deviation = runs[0].results.get(subject, Kind.SD).value
+            scale = max(scale, deviation or 0.0)
         elif answer in PROBABILITIES:
             scale = targets.get(subject) or max(scale, 1e-12)
         difference = values - values[0]
