@@ -129,7 +129,10 @@ def expansions(
         form = fit.plain_form
         rest = (outputs[1:] - values)[:, :few]
         terms = form.rows(np.concatenate(points[1:, :few]))
-        expansion = Expansion(
+        wrong = _runs_away(fit, values, left)
+        if not wrong < GOOD * CONTROL:
+            continue
+        fits[name] = Expansion(
             fit=fit,
             rows=rows,
             values=values,
@@ -137,11 +140,8 @@ def expansions(
             cross=np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few,
             explained=_explained(points[1:, :few], rest),
             left=left,
-            beyond=_beyond(design, fit, sample.scores, rest),
+            beyond=wrong + _beyond(design, fit, sample.scores, rest),
         )
-        wrong = _runs_away(expansion)
-        if wrong < GOOD * CONTROL:
-            fits[name] = replace(expansion, beyond=expansion.beyond + wrong)
     return fits
 
 
@@ -181,22 +181,22 @@ def _explained(points: Array, residuals: Array) -> Array:
     return np.stack([least, np.where(larger, neighbours, squares)])
 
 
-def _runs_away(expansion: Expansion) -> float:
+def _runs_away(fit: Chaos, values: Array, left: float) -> float:
     """Share of the variance of an expansion that it makes where no row lies, as far as it may be
     wrong there: 0 where the rows do not contradict its variance.
 
     Of an output with a heavy tail the rows may lack much of the variance: what of it is in doubt is
     what the expansion leaves.
     """
-    moments = expansion.fit.integrals
+    moments = fit.integrals
     if not moments.sd > 0.0:
         return 0.0
     # over the variance of the expansion
-    squares = (((expansion.values - moments.mean) / moments.sd) ** 2).mean(axis=1)
+    squares = (((values - moments.mean) / moments.sd) ** 2).mean(axis=1)
     missing = abs(1.0 - squares.mean())
     if missing <= student(len(squares), REJECTED) * spread(squares) + 1e-9 + 4.0 * moments.error:
         return 0.0
-    doubt = math.sqrt(expansion.left)
+    doubt = math.sqrt(left)
     return float(missing * min(2.0 * doubt + doubt**2, 1.0))
 
 
@@ -221,21 +221,20 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
     shares = parts**2 / (parts**2).sum()
     wrong = 0.0
     for j, law in enumerate(design.joint_inputs.laws):
-        column = scores[1:, : residuals.shape[1], j]
         for side in (-1.0, 1.0):
-            outermost = (side * column).argmax(axis=1)[:, None]
-            last = side * (side * column).max()
-            chance = float(special.ndtr(-side * last))
-            free = -side * special.ndtri(chance * parts**3)
+            column = side * scores[1:, : residuals.shape[1], j]
+            outermost = column.argmax(axis=1)[:, None]
+            last = column.max()
+            chance = float(special.ndtr(-last))
+            free = -special.ndtri(chance * parts**3)
             # beyond the last row, at it, and as far before it
             places = np.tile(rows, (3, 1, 1))
-            places[:, :, j] = np.broadcast_arrays(free, last, 2.0 * last - free)
+            places[:, :, j] = side * np.array(np.broadcast_arrays(free, last, 2.0 * last - free))
             beyond, at_last, before = fit.predict(points_of(design, places)) - moments.mean
             made = shares @ np.abs(beyond**2 - at_last**2)
             error = (np.take_along_axis(residuals, outermost, 1) ** 2).mean()
-            own, exact = _by_same_degree(
-                fit, j, law, scores[0, : fit.samples, j], np.append(free, last)
-            )
+            tail = side * np.append(free, last)
+            own, exact = _by_same_degree(fit, j, law, scores[0, : fit.samples, j], tail)
             # what such polynomials miss is a deviation, of which the interval holds 95 %
             missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
             with np.errstate(over="ignore"):  # one that does not move has nothing beyond either

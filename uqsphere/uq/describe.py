@@ -10,12 +10,11 @@ cancellation, whatever the offset of the quantity.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from math import inf, nan
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells, Flags, Pair, Values, frozen, special
+from uqsphere.arrays import Array, Flags, Pair, Values, frozen, special
 
 from .chaos.expansion import Integrals
 from .estimate import (
@@ -265,27 +264,25 @@ def describe_controlled(
     method : text of every estimate
     """
     total = expensive.size
+    models = expensive, cheap, cheap_many
 
     def controlled(
-        function: Callable[[Array], Cells], integral: float = nan, error: float = inf
-    ) -> tuple[Values, float]:
-        exact, other, more = (
-            function(rows).mean(axis=1) for rows in (expensive, cheap, cheap_many)
-        )
+        function: Callable[[Array], Array], integral: float, error: float
+    ) -> tuple[Values, float, float]:
+        """Means of the replicates, the half-width that is left of an integral among them, and the
+        points that carry what the cheap model is off by; infinite for a rounding.
+        """
+        values = [function(rows) for rows in models]
+        off = values[0] - values[1]
+        points = inf
+        if off.std() > 1e-12 * values[0].std():
+            points = carriers((off - off.mean()) ** 2)
+        exact, other, more = (part.mean(axis=1) for part in values)
         if error < student(len(more)) * spread(more):
-            return exact - other + integral, error
-        return exact - other + more, 0.0
+            return exact - other + integral, error, points
+        return exact - other + more, 0.0, points
 
-    def carrying(function: Callable[[Array], Array]) -> float:
-        """The points that carry what the cheap model is off by; infinite for a rounding."""
-        exact = function(expensive)
-        off = exact - function(cheap)
-        if off.std() <= 1e-12 * exact.std():
-            return inf
-        return carriers((off - off.mean()) ** 2)
-
-    values, error = controlled(np.asarray, known.mean, known.moment_errors[0])
-    points = carrying(np.asarray)
+    values, error, points = controlled(np.asarray, known.mean, known.moment_errors[0])
     mean = from_replicates(values, method, total, carrying=points, further=error)
     # about one centre for all replicates, so that their means are not taken for scatter of the
     # quantity
@@ -295,11 +292,10 @@ def describe_controlled(
         return (rows - centre) ** 2
 
     square = known.sd**2 + (known.mean - centre) ** 2
-    variances, error = controlled(squares, square, known.moment_errors[1])
+    variances, error, points = controlled(squares, square, known.moment_errors[1])
     scale = math.sqrt(max(variances.mean(), 0.0)) or expensive.std()
     # the standard deviation moves by half of what the variance does, over itself
     half = 0.5 / (scale or 1.0)
-    points = carrying(squares)
     sd = from_replicates(
         half * variances, method, total, scale, carrying=points, further=half * error
     )
@@ -309,10 +305,11 @@ def describe_controlled(
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
             answers[p] = absent(f"too few samples beyond the {p:g} quantile", method, total)
             continue
-        below, _ = controlled(partial(np.greater_equal, read(p)))
+        at = read(p)
+        exact, other, more = ((rows <= at).mean(axis=1) for rows in models)
         # a cell of the many, and one row in which the models may disagree
         cell = CELL / cheap_many.shape[1] / math.sqrt(len(cheap_many))
-        error = math.hypot(spread(below), cell, CELL / total)
+        error = math.hypot(spread(exact - other + more), cell, CELL / total)
         answers[p] = quantile([read], p, error, len(expensive), method, total)
     if sd.low is not None:
         sd = replace(sd, low=max(0.0, sd.low))
