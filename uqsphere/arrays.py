@@ -14,6 +14,8 @@ Flags = NDArray[np.bool_]
 Places = NDArray[np.int64]
 #: two arrays that belong to each other, such as coordinates or both ends of intervals
 Pair = tuple[Array, Array]
+#: two numbers that belong to each other, such as the ends of a range, or mean and sd
+Duo = tuple[float, float]
 #: names of columns, in their order
 Names = Sequence[str]
 #: a number or an array of numbers: argument and result of elementwise formulas

@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-from uqsphere.arrays import Names, Values, frozen
+from uqsphere.arrays import Duo, Names, Values, frozen
 from uqsphere.errors import as_text
 from uqsphere.files import packaged
 
@@ -68,7 +68,7 @@ class Quantity:
     display: str = ""
     lower: float = 0.0
     upper: float = math.inf
-    plausible: tuple[float, float] = (0.0, math.inf)
+    plausible: Duo = (0.0, math.inf)
     closed: bool = False
     follows: str = ""
     fracture: bool = False

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, quiet
+from uqsphere.arrays import Array, Duo, Pair, Values, quiet
 
 from .roots import bisect
 
@@ -64,7 +64,7 @@ _SLOWEST, _FASTEST, _SCAN = 0.35, 1.02, 600
 _MOST_GAIN = 3.0
 
 
-def _bessel(square: Array) -> tuple[Array, Array]:
+def _bessel(square: Array) -> Pair:
     """J_0(x) and J_1(x)/x of x² = `square`, also below zero; both over exp(|Im x|) there."""
     from scipy.special import i0e, i1e, j0, j1
 
@@ -76,7 +76,7 @@ def _bessel(square: Array) -> tuple[Array, Array]:
     return np.where(square >= 0.0, j0(size), i0e(size)), first
 
 
-def _speeds(nu: float) -> tuple[float, float]:
+def _speeds(nu: float) -> Duo:
     """Speeds of dilatation and of shear over c0."""
     return math.sqrt((1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))), math.sqrt(0.5 / (1.0 + nu))
 
@@ -124,7 +124,7 @@ def phase_speed(wave_number: Array, nu: float) -> Array:
 
 
 @quiet
-def surface_factors(wave_number: Array, speed: Array, nu: float) -> tuple[Array, Array]:
+def surface_factors(wave_number: Array, speed: Array, nu: float) -> Pair:
     """Tyas and Wilson's correction factors M_1, M_2 of the surface strain, both 1 for long waves.
 
     M_1: mean axial strain of the section over the surface strain.  M_2: mean axial stress over E

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, ColumnMap, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Pair, Values, quiet
 
 from . import contact
 from .integrator.tracked import TAIL_SHARE
@@ -71,7 +71,7 @@ def loading_time(x: Values) -> Array:
 
 
 @cache
-def _table() -> tuple[Array, Array]:
+def _table() -> Pair:
     """Times and z = -ln(1 - sqrt(x)) of a loading, so close that one round of Newton's iteration
     finishes it.
     """

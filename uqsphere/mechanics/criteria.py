@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from uqsphere.arrays import Array, ColumnMap, Names, Values, frozen, quiet
+from uqsphere.arrays import Array, ColumnMap, Duo, Names, Values, frozen, quiet
 from uqsphere.units import Quantity
 
 from . import contact, stress
@@ -57,7 +57,7 @@ class Criterion(Quantity):
     also: Names = ()
     parameters: Names = ()
     optional: Names = ()
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ranges: Mapping[str, Duo] = field(default_factory=dict)
     follows: str = "force"
     fracture: bool = True
 

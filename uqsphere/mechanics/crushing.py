@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from uqsphere.arrays import Array, ColumnMap, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Duo, Values, quiet
 
 from . import contact
 from .criteria import CRITERIA, Parameters, demand
@@ -30,7 +30,7 @@ def value_at(
     of: Demand,
     sphere: ColumnMap,
     radius: Array,
-    platens: tuple[float, float],
+    platens: Duo,
     rate: Array | None = None,
 ) -> Array:
     """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s]."""
@@ -87,7 +87,7 @@ def force_at(
     of: Demand,
     sphere: ColumnMap,
     radius: Values,
-    platens: tuple[float, float],
+    platens: Duo,
 ) -> Array:
     """Force (n,) [N] at which a demand reaches a value on the row's own sphere.
 

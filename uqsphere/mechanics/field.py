@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Values
+from uqsphere.arrays import Array, Pair, Values
 
 from .integrator.solve import Motion
 from .pulses import pulse_value
@@ -344,7 +344,7 @@ def last_time(motion: Motion, bar: str, position: float) -> float:
     return motion.horizon + min(delay, motion.round_trip(number) - delay)
 
 
-def with_jumps(smooth: Array, jumps: Array) -> tuple[Array, Array]:
+def with_jumps(smooth: Array, jumps: Array) -> Pair:
     """Sorted instants with jumps twice, and sides: -1 at the first instant of a jump, else 1."""
     times = np.concatenate([smooth, jumps, jumps])
     sides = np.repeat([1.0, -1.0, 1.0], [len(smooth), len(jumps), len(jumps)])

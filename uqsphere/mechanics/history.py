@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, frozen, quiet
+from uqsphere.arrays import Array, Duo, Pair, Values, frozen, quiet
 from uqsphere.errors import UsageError
 
 from . import contact
@@ -216,7 +216,7 @@ def trace(
 
 
 @quiet
-def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array]:
+def _pressed(course: Motion, states: Array, forces: Array) -> Pair:
     """Approaches and pressures (2, m) of both contacts.
 
     If a contact yields, the peak force so far gives its depth and residual indentation by the law
@@ -253,7 +253,7 @@ def _pressed(course: Motion, states: Array, forces: Array) -> tuple[Array, Array
     return gaps, np.stack([course.pressure_at(force, pole) for pole, force in enumerate(forces)])
 
 
-def _instants(course: Motion, points: int, events: Sequence[float]) -> tuple[Array, Array]:
+def _instants(course: Motion, points: int, events: Sequence[float]) -> Pair:
     """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
     scene = course.scene
     row = course.row
@@ -404,7 +404,7 @@ class FieldView(NamedTuple):
     [m], the sphere at 0; midpoints of an even grid over [begin, last] and [-reach, reach].
     """
 
-    reach: tuple[float, float]
+    reach: Duo
     begin: float
     last: float
     places: Array

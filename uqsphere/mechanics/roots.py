@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values
+from uqsphere.arrays import Array, Flags, Pair, Values
 
 #: halvings that exhaust a double, whose mantissa has 52 bits
 _HALVINGS = 52
@@ -16,7 +16,7 @@ _STILL = 1e-15
 
 def bisect(
     below: Callable[[Array], Flags], low: Values, high: Values, halvings: int = _HALVINGS
-) -> tuple[Array, Array]:
+) -> Pair:
     """Brackets (n,) of roots, halved; `below` returns whether the root lies above a point."""
     for _ in range(halvings):
         middle = 0.5 * (low + high)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
+from uqsphere.arrays import Array, Duo, Flags, Pair, Places, Values, frozen, quiet
 
 from . import bars, contact
 from .criteria import Demands
@@ -270,7 +270,7 @@ class Scene:
         return bars.round_trip(self.columns["striker.length"], *self._striker)
 
     @property
-    def _striker(self) -> tuple[Array, Array]:
+    def _striker(self) -> Pair:
         """E and density of the striker, (n,) each: the bars' if omitted."""
         c = self.columns
         E = c.get("striker.E", c["bars.E"])
@@ -455,7 +455,7 @@ class Scene:
         return inside
 
 
-def _between(ratio: Array, bounds: tuple[float, float]) -> Flags:
+def _between(ratio: Array, bounds: Duo) -> Flags:
     return (ratio >= bounds[0]) & (ratio <= bounds[1])
 
 

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from uqsphere.arrays import bundle
+from uqsphere.arrays import Duo, bundle
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.uq import student
@@ -45,7 +45,7 @@ class Settled(Curves):
         return doubts
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def ends(self) -> Duo:
         """The safe and the unsafe end of the line."""
         ends = self.line.values[0], self.line.values[-1]
         if self.safe_above:

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, bundle, special
+from uqsphere.arrays import Array, Pair, bundle, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
@@ -521,9 +521,7 @@ class Curves:
     def _unsafe(self) -> float:
         return ENDS[self.aim.survive]
 
-    def _shifted(
-        self, limit: Limit, means: Array, few: Array, every: Array, end: float
-    ) -> tuple[Array, Array]:
+    def _shifted(self, limit: Limit, means: Array, few: Array, every: Array, end: float) -> Pair:
         """Curves (2, K) at a quantile of (2, laws, K, R) on few rows, and the joint one of each
         replicate (K, R), moved by the difference in normal scores between all rows and few.
         """

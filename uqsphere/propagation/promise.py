@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, special
+from uqsphere.arrays import Array, Flags, Pair, special
 from uqsphere.results.types import TestsGain
 from uqsphere.study import Limit
 from uqsphere.uq import Law, make_law
@@ -144,7 +144,7 @@ class _Promise:
                 places = np.where(refuted, line.place_of(settled.ends[1]), places)
             yield places
 
-    def _series(self, uniforms: Array) -> tuple[Array, Array]:
+    def _series(self, uniforms: Array) -> Pair:
         """Logarithms (J, r) of the strengths that failed, and the tests that end with each failure
         (r,): as many are stopped, at the largest, as today.
         """
@@ -257,7 +257,7 @@ def _place_of(law: Law) -> tuple[LocationScale, float, float]:
 
 
 @lru_cache(maxsize=16)
-def _pivots(kind: LocationScale, leaving: tuple[float, ...], at: float) -> tuple[Array, Array]:
+def _pivots(kind: LocationScale, leaving: tuple[float, ...], at: float) -> Pair:
     return kind.pivots(np.array(leaving), LAWS, np.random.default_rng(len(leaving)), at)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Duo, special
 from uqsphere.quantities import display_unit, format_probability, format_value
 from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
 
@@ -170,9 +170,7 @@ def draw_fragility(
     axes.set_xlabel(with_unit(free.meaning, unit), labelpad=6.0 + LINE * rows)
 
 
-def _ends_of_interest(
-    free: FreeNumber, curves: Sequence[Curve], places: Sequence[float]
-) -> tuple[float, float]:
+def _ends_of_interest(free: FreeNumber, curves: Sequence[Curve], places: Sequence[float]) -> Duo:
     """The part of the range in which a curve is inside the frame, with plan and numbers to use."""
     inside = [curve.x[(curve.p > LOWEST) & (curve.p < HIGHEST)] for curve in curves]
     shown = np.concatenate([places, *inside])

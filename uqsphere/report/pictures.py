@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Names
+from uqsphere.arrays import Array, Duo, Names
 from uqsphere.quantities import display_unit, format_probability, format_together
 from uqsphere.results.types import Kind, QuantityEntry, Results
 
@@ -32,8 +32,8 @@ MOST_INPUTS, MOST_LETTERS, MOST_STRENGTHS = 8, 30, 3
 def write(
     axes: Axes,
     text: str,
-    place: tuple[float, float],
-    offset: tuple[float, float],
+    place: Duo,
+    offset: Duo,
     coordinates: Any = "data",
     **style: Any,
 ) -> None:

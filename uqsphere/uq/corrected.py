@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Pair, Values, bundle
+from uqsphere.arrays import Array, Duo, Pair, Values, bundle
 
 from .describe import Description, heavy_tail, rising
 from .estimate import (
@@ -259,7 +259,7 @@ def nodes_of(residuals: Array) -> Pair:
     return nodes, weights / len(residuals)
 
 
-def _ends(value: float, influence: Array, sampling: float = 0.0) -> tuple[float, float]:
+def _ends(value: float, influence: Array, sampling: float = 0.0) -> Duo:
     """Ends of the interval about a value that rows move by influences (n,) and points of the law by
     a half-width.
     """
@@ -274,7 +274,7 @@ def _significant(correction: Values, noise: Values, n: int) -> Values:
     return np.where(correction**2 > student(n) ** 2 * noise, correction, 0.0)
 
 
-def _settled(levels: Array, influence: Array) -> tuple[float, float]:
+def _settled(levels: Array, influence: Array) -> Duo:
     """The value of (1), and that with the whole correction: from what the folds have (K,) and what
     each row adds (n,).
 

@@ -14,7 +14,7 @@ from math import inf
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Pair, Values, frozen, special
+from uqsphere.arrays import Array, Duo, Flags, Pair, Values, frozen, special
 
 #: independent randomisations that an interval rests on: the t of 15 degrees of freedom is 9 % above
 #: that of many
@@ -217,7 +217,7 @@ def fold_spread(values: Array) -> Values:
     return student(count) * math.sqrt(count + 1.0) * spreads(values)
 
 
-def mean_and_sd(values: Array) -> tuple[float, float]:
+def mean_and_sd(values: Array) -> Duo:
     """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
     unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
     return unit * float((values / unit).mean()), unit * float((values / unit).std())
@@ -254,7 +254,7 @@ def from_replicates(
     return bounded(value, value - half, value + half, error, method, evaluations)
 
 
-def distances(influence: Array, level: float = LEVEL) -> tuple[float, float]:
+def distances(influence: Array, level: float = LEVEL) -> Duo:
     """How far the interval of a mean of n influences (n,) reaches below and above it.
 
     Student's t with Satterthwaite's degrees of freedom, those at which the variance of n values

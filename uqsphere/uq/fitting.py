@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Flags, Pair, bundle, frozen, special
+from uqsphere.arrays import Array, Duo, Flags, Pair, bundle, frozen, special
 
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
@@ -211,8 +211,8 @@ class StrengthFit:
     shape: float
     scale: float
     unbiased: float
-    shape_interval: tuple[float, float]
-    scale_interval: tuple[float, float]
+    shape_interval: Duo
+    scale_interval: Duo
     log_likelihood: float
     p_value: float
 
@@ -243,7 +243,7 @@ class StrengthTests:
         ended = np.bincount(np.cumsum(self.failures).astype(int), self.stopped)
         return ended[1:] + np.float64(1.0)
 
-    def best(self, law: LocationScale) -> tuple[float, float]:
+    def best(self, law: LocationScale) -> Duo:
         """Location and scale of u(x) by the largest likelihood."""
         location, spread = law.maximum(law.u(self.values)[None, :], self.failures, self.stopped)
         return location.item(), spread.item()

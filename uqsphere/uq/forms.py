@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Pair, bundle, quiet, special
+from uqsphere.arrays import Array, Duo, Pair, bundle, quiet, special
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -62,9 +62,9 @@ class Form:
     #: nan, or anything beyond bounds of its own, off the law
     pdf: Function = no_density
     #: mean and sd, where quadrature in normal scores is slow or inexact
-    moments: tuple[float, float] | None = None
+    moments: Duo | None = None
     #: from which on the lower, the upper tail has no moments
-    orders: tuple[float, float] = (inf, inf)
+    orders: Duo = (inf, inf)
     #: probability that truncation has left
     mass: float = 1.0
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqsphere.arrays import Array, frozen, quiet
+from uqsphere.arrays import Array, Duo, frozen, quiet
 
 from .families import FAMILIES, Family, family_named
 from .forms import CERTAIN, GAUSS, Form, LawError, Placed, Tails, no_density
@@ -189,7 +189,7 @@ class Law:
 
     @cached_property
     @quiet
-    def _moments(self) -> tuple[float, float]:
+    def _moments(self) -> Duo:
         """Mean and standard deviation in force: ∫ Q(Φ(z))^k φ(z) dz by the trapezoidal rule.
 
         The integrand is smooth and dies out faster than exponentially at both ends, where the
@@ -296,7 +296,7 @@ def make_law(
     return Law(family=family, parameters=parameters, lower=a, upper=b, given=given).checked()
 
 
-def bounds_of(lower: float | None, upper: float | None) -> tuple[float, float]:
+def bounds_of(lower: float | None, upper: float | None) -> Duo:
     """Bounds of a law, infinite where there are none; raises LawError."""
     a = -inf if lower is None else float(lower)
     b = inf if upper is None else float(upper)

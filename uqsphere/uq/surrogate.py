@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, Pair, bundle, is_labelled
+from uqsphere.arrays import Array, Duo, Flags, Names, Pair, bundle, is_labelled
 from uqsphere.errors import UsageError
 
 from .chaos.basis import MOST_STEPS, Germ, Germs, germ_points, germs_of, values_of
@@ -297,7 +297,7 @@ class Expansion:
 
     # --- what it says of the output ---------------------------------------------------------------
 
-    def moments(self) -> tuple[float, float]:
+    def moments(self) -> Duo:
         """Mean and standard deviation of the expansion, for independent inputs."""
         moments = self.fit.integrals
         return moments.mean, moments.sd

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, Pair, Places, bundle, frozen, special
+from uqsphere.arrays import Array, Duo, Flags, Names, Pair, Places, bundle, frozen, special
 
 from ..estimate import ratio_of_means, spread, spreads, student
 from ..indices import Blocks, jansen_total, saltelli_first
@@ -66,7 +66,7 @@ class Integrals:
     sd: float
     shares: Array
     error: float = 0.0
-    moment_errors: tuple[float, float] = (0.0, 0.0)
+    moment_errors: Duo = (0.0, 0.0)
 
 
 @bundle
@@ -89,7 +89,7 @@ class Chaos:
     germs: Germs
     log: bool = False
     sign: float = 1.0
-    bounds: tuple[float, float] = (-math.inf, math.inf)
+    bounds: Duo = (-math.inf, math.inf)
     cross_validation_error: float
     samples: int
 
