@@ -8,6 +8,7 @@ axis labels and documentation read them here, so that a quantity has one name an
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from math import inf, nan
 
 from uqsphere.mechanics.criteria import DEMANDS as DEMANDS
 from uqsphere.mechanics.inputs import INPUTS as INPUTS
@@ -28,9 +29,7 @@ def lookup(name: str) -> Quantity:
 
 def plain_quantity(name: str) -> Quantity:
     """The entry of a number without unit, for example a black-box input."""
-    return Quantity(
-        name=name, symbol=name, meaning=name, lower=-math.inf, plausible=(-math.inf, math.inf)
-    )
+    return Quantity(name=name, symbol=name, meaning=name, lower=-inf, plausible=(-inf, inf))
 
 
 def format_bounds(quantity: Quantity) -> str:
@@ -48,7 +47,7 @@ def format_bounds(quantity: Quantity) -> str:
     return f"{name} must be between {low} and {high} ({ends})"
 
 
-def display_unit(name: str, magnitude: float = math.inf) -> tuple[str, float]:
+def display_unit(name: str, magnitude: float = inf) -> tuple[str, float]:
     """Display unit of a quantity, and the factor from SI to it.
 
     A `magnitude` [SI] below one display unit selects a smaller unit.
@@ -119,7 +118,7 @@ def round_conservative(
     unit, factor = display_unit(name, value)
     scaled = value * factor
     direction = 1 if safe_above else -1
-    kept = direction * factor * (math.nan if planned is None else planned)
+    kept = direction * factor * (nan if planned is None else planned)
     rounded = scaled
     for digits in (2, 3, 4, 5):
         rounded = _significant(scaled, digits, direction)

@@ -122,7 +122,7 @@ def _rows_at(
     assert settled is not None
     margins = design.study.margins
     assert margins is not None
-    joint = moved(design.study, number).inputs().only(design.drawn.names)
+    joint = moved(design.study, number).inputs().only(design.variables)
     points = at_normals(joint, rng.standard_normal((1, rows, len(joint.names))))
     if margins.limit is not None:
         raise ValueError("the free number is a strength")

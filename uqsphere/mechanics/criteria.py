@@ -12,6 +12,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
 from functools import partial
+from math import inf
 from types import MappingProxyType
 
 import numpy as np
@@ -36,10 +37,10 @@ PARAMETERS = {
     name: Quantity(name=name, dimension=dimension, meaning=meaning, lower=lower, upper=upper)
     for name, dimension, meaning, lower, upper in (
         ("modulus", "number", "Weibull modulus m", 1.0, 1e3),
-        ("reference_volume", "volume", "volume the strength is measured on", 0.0, math.inf),
-        ("reference_area", "area", "area the strength is measured on", 0.0, math.inf),
-        ("largest_energy", "specific_energy", "largest specific fracture energy", 0.0, math.inf),
-        ("rate_0", "strain_rate", "strain rate at which the strength is doubled", 0.0, math.inf),
+        ("reference_volume", "volume", "volume the strength is measured on", 0.0, inf),
+        ("reference_area", "area", "area the strength is measured on", 0.0, inf),
+        ("largest_energy", "specific_energy", "largest specific fracture energy", 0.0, inf),
+        ("rate_0", "strain_rate", "strain rate at which the strength is doubled", 0.0, inf),
     )
 }
 

@@ -10,8 +10,6 @@ energy of both bodies is limited it has partner, (1 - nu²)/E [1/Pa] of the coun
 own rig.  Platens have E [Pa], infinite if rigid, and nu.
 """
 
-from typing import TypeAlias
-
 import numpy as np
 
 from uqsphere.arrays import Array, ColumnMap, Duo, Values, quiet
@@ -22,7 +20,7 @@ from .outputs import Columns, columns_of_press
 from .yielding import Face
 
 #: a quantity, or a criterion with its parameters
-Demand: TypeAlias = str | tuple[str, Parameters]
+Demand = str | tuple[str, Parameters]
 
 
 def value_at(

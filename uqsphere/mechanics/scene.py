@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from functools import cached_property
+from math import inf, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -185,7 +186,7 @@ class Scene:
             )
         if self.by_wave and self.shape == "step" and self.horizon is None and self.infinite:
             raise ValueError("a step pulse in infinite bars needs a horizon")
-        if self.horizon is not None and not 0.0 < self.horizon < np.inf:
+        if self.horizon is not None and not 0.0 < self.horizon < inf:
             raise ValueError(f"horizon must be positive and finite, not {self.horizon!r} s")
         shapes = {np.shape(column) for column in self.columns.values()}
         if shapes != {(len(self),)}:
@@ -216,7 +217,7 @@ class Scene:
         """The scene of some of its rows."""
         return replace(self, columns={name: column[rows] for name, column in self.columns.items()})
 
-    def column(self, name: str, default: float = np.nan) -> Array:
+    def column(self, name: str, default: float = nan) -> Array:
         """A column, or `default` in every row."""
         return self.columns.get(name, np.full(len(self), default))
 
@@ -262,7 +263,7 @@ class Scene:
     def _duration(self) -> Values:
         """Length of the pulse, (n,) [s]; infinite for a step, and without a wave."""
         if not self.by_wave or self.shape == "step":
-            return np.full(len(self), np.inf)
+            return np.full(len(self), inf)
         if self.record is not None:
             return np.full(len(self), self.record.duration)
         if "pulse.duration" in self.columns:
@@ -306,7 +307,7 @@ class Scene:
     @cached_property
     def round_trips(self) -> Array:
         """Round trips of the bars at A and B, (n, 2) [s]; infinite without a bar, or its length."""
-        return self._of_partners("round_trip", np.inf)
+        return self._of_partners("round_trip", inf)
 
     @cached_property
     def reflections(self) -> Array:
@@ -321,12 +322,12 @@ class Scene:
     @cached_property
     def first_echo(self) -> Values:
         """Arrival of the first reflected wave at the sphere, (n,) [s]; infinite without one."""
-        return np.where(self.reflections != 0.0, self.round_trips, np.inf).min(axis=1)
+        return np.where(self.reflections != 0.0, self.round_trips, inf).min(axis=1)
 
     @cached_property
     def record_end(self) -> Array:
         """Latest end of the evaluation window, (n,) [s]; infinite if another rule ends it."""
-        ends = np.full(len(self), self.horizon or np.inf)
+        ends = np.full(len(self), self.horizon or inf)
         if self.horizon is None and self.by_wave and not self.infinite:
             ends = 8.0 * self.round_trips.max(axis=1)
         if self.first_loading_only:
@@ -425,11 +426,11 @@ class Scene:
                 continue
             allowed = INPUTS[name].allows(column)
             if name.endswith(("end_radius", "face_radius", "onset_pressure", "hardness")):
-                allowed |= column == np.inf
+                allowed |= column == inf
             inside &= allowed
         scales = self.scales
         for number in (scales.mass_number, scales.force, scales.approach, scales.time):
-            inside &= (number > 0.0) & (number < np.inf)
+            inside &= (number > 0.0) & (number < inf)
         inside &= ~(np.fmin(scales.duration, self.first_echo) < _SHORTEST * scales.time)
         for partner in self.there:
             if partner.face is not None:
@@ -467,11 +468,11 @@ def _partner(scene: Scene, pole: int) -> Partner:
     table = (rig.behind, rig.ahead)[pole]
     kind = rig.kind(pole, scene.options)
     E, nu, density = scene.numbers(table, "E nu density")
-    rigid = np.full(len(scene), np.inf)
+    rigid = np.full(len(scene), inf)
     still = np.zeros(len(scene))
     impedance = mass = round_trip = rigid
     reflection = takes = still
-    end_radius = scene.column(f"{table}.{'end' if scene.by_wave else 'face'}_radius", np.inf)
+    end_radius = scene.column(f"{table}.{'end' if scene.by_wave else 'face'}_radius", inf)
     ball = table == "other" or scene.options.get(f"{table}.shape") == "ball"
     if table == "other":
         end_radius = c["other.radius"]

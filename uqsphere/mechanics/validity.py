@@ -5,10 +5,10 @@ never stops a run; it is reported with the percentage of rows concerned.  Failed
 are excluded.  Thresholds and sentences are in ``validity.toml``.
 """
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import field, replace
 from functools import partial, reduce
+from math import inf, nan
 
 import numpy as np
 
@@ -39,9 +39,9 @@ class Rule:
     key: str
     name: str
     words: str
-    information: float = math.nan
-    warning: float = math.nan
-    failure: float = math.nan
+    information: float = nan
+    warning: float = nan
+    failure: float = nan
     rising: bool = True
     law: str = ""
     movers: Names = ()
@@ -124,8 +124,8 @@ class Measures(dict[str, Values]):
         return self["a_max"] / self["sphere.radius"]
 
     def one_sided_field(self) -> Values:
-        imbalance = self.get("force_imbalance", np.inf)
-        return np.where(imbalance > 0.1, self.small_contact(), np.nan)
+        imbalance = self.get("force_imbalance", inf)
+        return np.where(imbalance > 0.1, self.small_contact(), nan)
 
     def contact_on_bar_end(self) -> Values:
         (diameter,) = self.ahead("diameter")
@@ -259,7 +259,7 @@ class Measures(dict[str, Values]):
             return None
         rise: Values = 0.5 * scene.pulse.end
         if scene.shape in ("trapezoid", "ramp"):
-            rise = np.minimum(self["pulse.rise"], scene.column("pulse.fall", np.inf))
+            rise = np.minimum(self["pulse.rise"], scene.column("pulse.fall", inf))
         elif scene.record is not None:
             rise = scene.record.rise / 0.8
         elif scene.shape == "two_peak":
@@ -280,8 +280,8 @@ class Measures(dict[str, Values]):
             return None
         # an end that is given as absorbing reflects nothing; one that is not given may
         ends = [scene.column(f"bars.{bar}_end", 1.0) for bar in ("incident", "receiving")]
-        first = np.where(np.transpose(ends) != 0.0, scene.round_trips, np.inf).min(axis=1)
-        return self.answers.record / np.where(np.isfinite(first), first, np.nan)
+        first = np.where(np.transpose(ends) != 0.0, scene.round_trips, inf).min(axis=1)
+        return self.answers.record / np.where(np.isfinite(first), first, nan)
 
     def echo_in_contact(self) -> Values | None:
         if not np.any(np.isfinite(self.scene.first_echo)):
@@ -338,7 +338,7 @@ class Measures(dict[str, Values]):
 
 def _over_onset(pressure: Values, onset: Array) -> Values:
     """Contact pressure / onset pressure; NaN for a body that does not yield."""
-    return pressure / np.where((onset > 0.0) & np.isfinite(onset), onset, np.nan)
+    return pressure / np.where((onset > 0.0) & np.isfinite(onset), onset, nan)
 
 
 def _extreme(choose: np.ufunc, numbers: Sequence[Array]) -> Values | None:
@@ -363,7 +363,7 @@ ADVICE = {
 def grades_of(rule: Rule, measured: Array) -> Places:
     """Grade 0 to 3 of every row; a row without a number is graded 0.
 
-    >>> grades_of(RULES["small_contact"], np.array([0.1, 0.25, 0.4, np.nan])).tolist()
+    >>> grades_of(RULES["small_contact"], np.array([0.1, 0.25, 0.4, nan])).tolist()
     [0, 2, 3, 0]
     """
     grades = np.zeros(len(measured), dtype=np.int64)

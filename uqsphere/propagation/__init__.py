@@ -193,7 +193,7 @@ def _pairs(tables: Tables, quantity: str) -> Any:
     return SalibDesign(
         problem=salib_problem(design.joint_inputs),
         rows=rows.reshape(-1, rows.shape[3]),
-        second=design.study.analysis.second_order,
+        second=design.analysis.second_order,
         outputs=outputs.ravel(),
     )
 

@@ -23,7 +23,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
-from typing import TypeAlias
 
 import numpy as np
 
@@ -53,7 +52,7 @@ GOOD = 0.01
 TAIL_POINTS = 64
 METHOD = "polynomial chaos, corrected by rows"
 #: first and total index by input, and second ones by "input,input"
-Indices: TypeAlias = Mapping[str, tuple[Estimate, ...]]
+Indices = Mapping[str, tuple[Estimate, ...]]
 
 
 @bundle
@@ -155,7 +154,7 @@ def _fitted(design: Design, points: Array, outputs: Array, rows: int) -> tuple[C
         fit = fit_chaos(points[0, :rows], outputs[0, :rows], design.germs, plain=plain)
         values = fit.predict(points[1:])
         tried.append((fit, values, _left(outputs, values)))
-        if tried[0][2] <= GOOD or design.study.analysis.second_order:
+        if tried[0][2] <= GOOD or design.analysis.second_order:
             break
     plain_fit, other = tried[0], tried[-1]
     if other[0].log and other[2] < 0.5 * plain_fit[2]:
@@ -303,7 +302,7 @@ def by_chaos(design: Design, expansion: Expansion) -> Indices:
             # a total index is no smaller: the difference is noise of the correction
             total = replace(total, value=min(first.value, total.high or 1.0))
         indices[name] = first, total
-    if not design.study.analysis.second_order:
+    if not design.analysis.second_order:
         return indices
     for (i, one), (j, other) in combinations(enumerate(design.inputs), 2):
         which = active[:, i] & active[:, j] & (many == 2)

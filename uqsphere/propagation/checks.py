@@ -71,7 +71,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         failed = tables.dropped or failed
     if failed > 0.0:
         effect = "left out"
-        if design.study.analysis.policy == "bound":
+        if design.analysis.policy == "bound":
             effect = "intervals widened"
         if isinstance(tables, Slow) and tables.dropped and tables.predicted is not None:
             effect = "in their place stand predictions from the runs that did not"

@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from math import inf
 from typing import Literal
 
 import numpy as np
@@ -68,7 +69,7 @@ class Settled(Curves):
     @property
     def use(self) -> float | None:
         """The number to use; None where there is none, or no end to what is safe."""
-        if self.number == math.inf:
+        if self.number == inf:
             return None
         return self.number
 
@@ -78,7 +79,7 @@ class Settled(Curves):
         if len(numbers) < len(margins):
             return None
         pick = max if self.safe_above else min
-        return pick(filter(math.isfinite, numbers), default=math.inf)
+        return pick(filter(math.isfinite, numbers), default=inf)
 
     @property
     def setting(self) -> Doubt:
@@ -108,7 +109,7 @@ class Settled(Curves):
         """
         if self.use is not None:
             return self.use
-        return self.ends[int(self.number == math.inf)]
+        return self.ends[int(self.number == inf)]
 
     @cached_property
     def governing(self) -> Doubt:
@@ -130,7 +131,7 @@ class Settled(Curves):
 
     def is_safe(self, value: float, margin: float) -> bool:
         """Whether a value of the free number lies on the safe side of a margin."""
-        if self.safe_above and margin != math.inf:
+        if self.safe_above and margin != inf:
             return value >= margin
         return value <= margin
 
@@ -171,7 +172,7 @@ def settled_accurately(model: Model, aim: Aim, line: Line, end: float) -> Settle
             crossings = [settled.margin(doubt.limit, doubt.curve) for doubt in settled.doubts]
             number = settled.most_conservative(crossings) or settled.best_estimate
             neighbours = 2
-        if number is None or number == math.inf:
+        if number is None or number == inf:
             break
         distances = np.abs(line.places - line.place_of(number))
         nearest = np.argmin(distances)

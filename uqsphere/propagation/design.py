@@ -18,12 +18,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from uqsphere.arrays import Array, bundle, special
+from uqsphere.arrays import Array, Names, bundle, special
 from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.models.scene import absent_quantity
 from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
+from uqsphere.study.document import Analysis
 from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
 from uqsphere.uq.chaos.basis import GermLike, germs_of
 from uqsphere.uq.estimate import REPLICATES
@@ -80,9 +81,14 @@ class Design:
         return with_modes(self.study, self.modes)
 
     @cached_property
-    def columns(self) -> tuple[str, ...]:
+    def columns(self) -> Names:
         """The quantities that are evaluated at every point."""
         return _quantities(self.judged)
+
+    @property
+    def analysis(self) -> Analysis:
+        """What the study asks of its answers."""
+        return self.study.analysis
 
     @property
     def limits(self) -> tuple[Limit, ...]:
@@ -95,7 +101,7 @@ class Design:
         return self.judged.inputs()
 
     @cached_property
-    def inputs(self) -> tuple[str, ...]:
+    def inputs(self) -> Names:
         """The random inputs of the model."""
         return tuple(self.study.random)
 
@@ -112,7 +118,7 @@ class Design:
     @property
     def blocks(self) -> Blocks:
         """The blocks of the design of Sobol' indices."""
-        return Blocks(inputs_count=len(self.inputs), second=self.study.analysis.second_order)
+        return Blocks(inputs_count=len(self.inputs), second=self.analysis.second_order)
 
     @cached_property
     def drawn(self) -> Joint:
@@ -121,18 +127,23 @@ class Design:
         """
         return self.joint.only([name for name in self.joint.names if not is_strength(name)])
 
+    @property
+    def variables(self) -> Names:
+        """Their names."""
+        return self.drawn.names
+
     @cached_property
-    def described(self) -> tuple[str, ...]:
+    def described(self) -> Names:
         """The quantities whose distributions and indices are answered: those asked for, and those
         of limits.
         """
         return _quantities(self.study)
 
     @cached_property
-    def explained(self) -> tuple[str, ...]:
+    def explained(self) -> Names:
         """Those with indices: not what is held against a force of tests, where E and nu cancel."""
         held = {limit.quantity for limit in self.limits if limit.by_force}
-        held -= {*self.study.analysis.quantities}
+        held -= {*self.analysis.quantities}
         return tuple(name for name in self.described if name not in held)
 
     @cached_property
@@ -185,7 +196,7 @@ class Design:
     def _normals(self, count: int, start: int = 0) -> Array:
         uniforms = [
             sobol_points(
-                dimension=len(self.drawn.names),
+                dimension=len(self.variables),
                 count=count,
                 start=start,
                 seed=self.study.seed,
@@ -202,7 +213,7 @@ def with_modes(study: Study, modes: Iterable[AssumedMode]) -> Study:
     return replace(study, limits=(*study.limits, *(mode.limit for mode in modes)))
 
 
-def _quantities(study: Study) -> tuple[str, ...]:
+def _quantities(study: Study) -> Names:
     """The quantities that a study asks for, and those of its limits."""
     names = [*study.analysis.quantities, *(limit.quantity for limit in study.limits)]
     return tuple(dict.fromkeys(names))

@@ -231,6 +231,11 @@ class Curves:
     aim: Aim
     line: Line
 
+    @property
+    def survive(self) -> bool:
+        """Whether exceedance is what must not happen."""
+        return self.aim.survive
+
     @cached_property
     def others(self) -> dict[str, Others]:
         """What adds up with a limit, by its name; nothing for limits that are no fracture."""
@@ -238,10 +243,10 @@ class Curves:
         groups = []
         for group in (*self.aim.groups, *([mode.limit] for mode in self.aim.modes)):
             counted = [*filter(means_fracture, group)]
-            if counted and self.aim.survive:
+            if counted and self.survive:
                 first = counted[0]
                 groups.append((first, group))
-                holds[first.name] = 1.0 - exceedance(self.line.state(first), self.aim.survive)
+                holds[first.name] = 1.0 - exceedance(self.line.state(first), self.survive)
         others = dict[str, Others]()
         for first, group in groups:
             beside = [limit for limit, _ in groups if limit is not first]
@@ -310,7 +315,7 @@ class Curves:
     @property
     def safe_above(self) -> bool:
         """Whether larger values are safe, for all limits together: "use at least"."""
-        return bool((self.rises.sum() >= 0.0) != self.aim.survive)
+        return bool((self.rises.sum() >= 0.0) != self.survive)
 
     def margin(self, limit: Limit, curve: Array) -> float | None:
         """The value of the free number at which a curve (K,) of a limit misses its target, seen
@@ -351,7 +356,7 @@ class Curves:
 
         def excess(log_factor: float) -> float:
             stronger = replace(state, demands=state.demands * math.exp(-log_factor))
-            exceeded = self.line.means(others.or_any(exceedance(stronger, self.aim.survive)))
+            exceeded = self.line.means(others.or_any(exceedance(stronger, self.survive)))
             return float(score(exceeded[0].mean()) - score(limit.allowable))
 
         most = math.log(_STRONGER)
@@ -372,7 +377,7 @@ class Curves:
             others = Others(none=others.none)
         means = []
         for strength in laws or [state.strength]:
-            alone = exceedance(replace(state, strength=strength), self.aim.survive)
+            alone = exceedance(replace(state, strength=strength), self.survive)
             means.append([self.line.means(rows) for rows in (alone, others.or_any(alone))])
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
 
@@ -404,7 +409,7 @@ class Curves:
         for other in adding:
             means = self.base(other)[0]
             ends = ends_by_rows(self.line.design, compared, other, self.line.values, means)
-            away.append(ends[2 + self.aim.survive] - means.mean(axis=1))
+            away.append(ends[2 + self.survive] - means.mean(axis=1))
         alone, joint = base.mean(axis=2)
         return [alone + away[0], np.clip(joint + np.sum(away, axis=0), 0.0, 1.0)]
 
@@ -426,14 +431,14 @@ class Curves:
                 most = float(special.gammaincinv(carrying + 1.0, ENDS[1])) / carrying
                 low = min(low, 1.0 - min(q * most, 1.0))
                 high = max(high, min(p * most, 1.0))
-            ends.append(high if self.aim.survive else low)
+            ends.append(high if self.survive else low)
         return self._without_turns(np.array(ends), means.mean(axis=1))
 
     def _without_turns(self, ends: Array, means: Array) -> Array:
         """Unsafe ends (K,) of probabilities (K,): where no row fails, failures are no more probable
         than at any value nearer to the unsafe end.
         """
-        survive = self.aim.survive
+        survive = self.survive
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
         from_unsafe = slice(None, None, -1)
@@ -445,11 +450,11 @@ class Curves:
         """The rows of each value that carry the failures of a limit, alone and with the other
         failure modes; infinite where none does.
         """
-        alone = exceedance(self.line.state(limit), self.aim.survive)
+        alone = exceedance(self.line.state(limit), self.survive)
         joint = self.others.get(limit.name, Others()).or_any(alone)
         carried_by = []
         for exceeded in (alone, joint):
-            failing = np.nan_to_num(exceeded if self.aim.survive else 1.0 - exceeded)
+            failing = np.nan_to_num(exceeded if self.survive else 1.0 - exceeded)
             carried_by.append([carriers(part) or math.inf for part in self.line.by_value(failing)])
         return carried_by
 
@@ -462,7 +467,7 @@ class Curves:
         if not isinstance(strength, Law) or strength.is_steps:
             return True
         low, high = strength.ppf(np.array([0.0, 1.0]))
-        if self.aim.survive:
+        if self.survive:
             return bool(np.nanmin(state.demands) <= low)
         return bool(np.nanmax(state.demands) >= high)
 
@@ -519,7 +524,7 @@ class Curves:
 
     @property
     def _unsafe(self) -> float:
-        return ENDS[self.aim.survive]
+        return ENDS[self.survive]
 
     def _shifted(self, limit: Limit, means: Array, few: Array, every: Array, end: float) -> Pair:
         """Curves (2, K) at a quantile of (2, laws, K, R) on few rows, and the joint one of each

@@ -107,7 +107,7 @@ def grow(
         if not all(by_line):
             further += tables.sample.size
         stopped: Stop = ""
-        if not tables.inaccurate or not design.drawn.names:
+        if not tables.inaccurate or not design.variables:
             stopped = "accurate"
         elif count >= MOST:
             stopped = "cap"
@@ -205,7 +205,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
     if design.inputs:
         fits = expansions(design, tables.sample, design.described, tables.expansions)
         tables = replace(tables, expansions=fits)
-        asked = design.study.analysis.quantities
+        asked = design.analysis.quantities
         inaccurate = [name for name in asked if not _by_chaos_accurate(tables, name)]
     margins = dict(tables.margins)
     missed = _inaccurate_margins(tables)
@@ -230,7 +230,7 @@ def _by_chaos_accurate(tables: Tables, name: str) -> bool:
         return tables.sample.knows(name) and not varies(tables.sample.answer(name))
     estimates = chain(*by_chaos(tables.design, expansion).values())
     widest = max(estimate.half_width for estimate in estimates)
-    return widest <= tables.design.study.analysis.accuracy.sobol
+    return widest <= tables.design.analysis.accuracy.sobol
 
 
 def paired(
@@ -287,8 +287,8 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
 def accuracies(tables: Tables) -> Iterator[Accuracy]:
     """The accuracy of every answer that has one."""
     design = tables.design
-    required = design.study.analysis.accuracy
-    for name in design.study.analysis.quantities:
+    required = design.analysis.accuracy
+    for name in design.analysis.quantities:
         description = tables.described(name)
         scale = description.scale
         if description.mean.value is None or not scale > 0.0:

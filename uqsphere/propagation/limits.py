@@ -62,7 +62,7 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
     if limit.name in tables.rare:
         return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
-    constant = not design.drawn.names and tables.sample.knows(column)
+    constant = not design.variables and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
     return tables.probability(
@@ -109,13 +109,13 @@ def state_of(design: Design, limit: Limit, sample: Sample) -> LimitState:
         demands=demands_of(limit, sample),
         strength=limit.resistance,
         censored=sample.late(limit.column),
-        on_failure=design.study.analysis.policy,
+        on_failure=design.analysis.policy,
     )
     name = limit.strength_name
     if not design.study.dependence or name not in design.joint.names:
         return state
     scores = design.drawn.scores(sample.scores)
-    return replace(state, tie=design.joint.tie(name, design.drawn.names, scores))
+    return replace(state, tie=design.joint.tie(name, design.variables, scores))
 
 
 # --- drivers -----------------------------------------------------------------------------------
@@ -129,7 +129,7 @@ def drivers(tables: Tables) -> Rows:
     the strength being integrated.
     """
     design = tables.design
-    names = design.drawn.names
+    names = design.variables
     if not names:
         return
     sample = tables.sample.head(MOST_POINTS)
@@ -190,7 +190,7 @@ def fracture(tables: Tables) -> Rows:
     """
     design = tables.design
     limits = _each_once(design.fracture)
-    if len(limits) < 2 or design.study.black_box or not design.drawn.names:
+    if len(limits) < 2 or design.study.black_box or not design.variables:
         return
     sample = tables.sample.head(SPHERES)
     generator = design.generator("fracture")
@@ -254,7 +254,7 @@ def common_factor(design: Design, limits: Sequence[Limit]) -> Array:
     if not design.joint.dependent or len(random) < 2:
         return covariance
     at = [place_of(names[k]) for k in random]
-    drawn = [*map(place_of, design.drawn.names)]
+    drawn = [*map(place_of, design.variables)]
     across = correlation[np.ix_(drawn, at)]
     explained = across.T @ np.linalg.solve(correlation[np.ix_(drawn, drawn)], across)
     covariance[np.ix_(random, random)] = correlation[np.ix_(at, at)] - explained

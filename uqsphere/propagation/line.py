@@ -218,7 +218,7 @@ def evaluated_at(
         if value in before:
             start = before[value].count
         if start < count:
-            joint = moved(design.study, value).inputs().only(design.drawn.names)
+            joint = moved(design.study, value).inputs().only(design.variables)
             points = design.points(count - start, start, joint=joint)
             if margins is not None and margins.solve not in design.inputs:
                 points = with_number(points, margins.solve, value)

@@ -219,7 +219,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     from scipy.interpolate import RectBivariateSpline
 
     line = settled.line.few
-    survive = settled.aim.survive
+    survive = settled.survive
     exceeded_here = exceedance(line.state(limit), survive)
     stands = 1.0 - exceeded_here
     of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
@@ -278,7 +278,7 @@ def _places(settled: Settled, scores: Array, allowed: Array) -> Array:
     fine = np.linspace(line.places[0], line.places[-1], 8 * line.places.size)
     curves = PchipInterpolator(line.places, scores, axis=1)(fine)
     levels = score(allowed)
-    if not settled.aim.survive:
+    if not settled.survive:
         curves = -curves
         levels = -levels
     if settled.safe_above:

@@ -18,7 +18,7 @@ from .tables import Slow, Tables
 
 def distributions(tables: Tables) -> Rows:
     """Mean, standard deviation, quantiles and censored share of every quantity."""
-    runs = tables.runs if tables.design.drawn.names else 1
+    runs = tables.runs if tables.design.variables else 1
     for name in tables.design.described:
         description = tables.described(name)
         yield estimate_row(name, "mean", description.mean, runs=runs)
@@ -86,7 +86,7 @@ def salib_indices(tables: Tables, model: Model) -> Rows:
     sample = tables.rows
     given = special.ndtr(sample.scores[..., : len(names)].reshape(-1, len(names))[:GIVEN])
     for method in SALIB_METHODS:
-        if method not in design.study.analysis.measures:
+        if method not in design.analysis.measures:
             continue
         reason = ""
         uniforms = given

@@ -46,8 +46,8 @@ def is_negligible(estimate: Estimate, limit: Limit) -> bool:
 def is_left_to_search(design: Design, estimate: Estimate) -> bool:
     """Whether a search reaches a small failure probability with fewer runs than sampling."""
     small = estimate.value is None or estimate.value < SMALL
-    required = design.study.analysis.accuracy.probability
-    return small and bool(design.drawn.names) and rows_by_sampling(estimate, required) > MOST
+    required = design.analysis.accuracy.probability
+    return small and bool(design.variables) and rows_by_sampling(estimate, required) > MOST
 
 
 def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
@@ -68,7 +68,7 @@ def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tabl
     """
     design = tables.design
     answered = partial(evaluate, design, model, part=True)
-    required = design.study.analysis.accuracy
+    required = design.analysis.accuracy
     by_name = "probability" in required.model_fields_set or bool(tables.stopped)
     answers = dict(tables.rare)
     shared = dict[tuple[str, str], list[Draws]]()
@@ -102,9 +102,9 @@ def _waiting(tables: Tables, rows_left: float) -> list[Limit]:
     likeliest first; a limit that was searched waits where twice the runs of its search are left.
     """
     design = tables.design
-    if not design.drawn.names:
+    if not design.variables:
         return []
-    required = design.study.analysis.accuracy.probability
+    required = design.analysis.accuracy.probability
     waiting = []
     for limit in design.limits:
         estimate = failure(tables, limit)
@@ -199,7 +199,7 @@ def _problem(
     whole = _hangs_on_more(design, limit)
     return Evaluator(
         answers,
-        len(design.drawn.names),
+        len(design.variables),
         integrated=isinstance(strength, Law),
         limit=np.asarray if whole else of_outputs,
         budget=budget,
@@ -219,9 +219,9 @@ def _physical(
     if not points:
         return {}
     point = points[0].point
-    size = len(design.drawn.names)
+    size = len(design.variables)
     sample = answered(at_normals(design.drawn, point[None, None, :size]))
-    values = dict(zip(design.drawn.names, sample.inputs[0, 0].tolist(), strict=True))
+    values = dict(zip(design.variables, sample.inputs[0, 0].tolist(), strict=True))
     law = limit.resistance
     if isinstance(law, Law):
         # failure is z below the score of the demand: the strength there

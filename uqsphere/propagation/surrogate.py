@@ -60,7 +60,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
     The time of a run is measured unless the study gives it.  Raises UsageError after one run where
     the time is too short for the least number of rows.
     """
-    analysis = design.study.analysis
+    analysis = design.analysis
     if not design.study.black_box or not design.inputs:
         return False
     first = first_rows(design.study)
@@ -86,7 +86,7 @@ def is_slow(design: Design, model: Model, seconds: float) -> bool:
 
 def _design_points(design: Design, count: int, extra: int = 0, task: str = "slow") -> Array:
     """Independent normals (count, D), and `extra` uniforms behind them."""
-    size = len(design.drawn.names)
+    size = len(design.variables)
     points = sobol_points(size + extra, count, seed=design.study.seed, task=task)
     return np.concatenate([special.ndtri(points[:, :size]), points[:, size:]], axis=1)
 
@@ -141,7 +141,7 @@ def known_rows(design: Design, frame: Any) -> tuple[Sample, Callable[[Columns], 
         known = np.stack([answers[row.tobytes()] for row in rows])
         return dict(zip(study.outputs, known.T, strict=True))
 
-    return Sample.at(design.drawn.names, normals[None], physical[None]), model
+    return Sample.at(design.variables, normals[None], physical[None]), model
 
 
 def tables_of(
@@ -159,7 +159,7 @@ def tables_of(
     Raises KeyboardInterrupt where the user stops before there is enough, UsageError for a budget
         that is too small.
     """
-    analysis = design.study.analysis
+    analysis = design.analysis
     end = time.monotonic() + seconds
     affordable = analysis.budget.evaluations
     cost = analysis.cost or model.seconds_per_row
@@ -238,7 +238,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     """
     dropped = 0.0
     apart = False
-    if design.study.analysis.policy == "drop" and rows.failed.any():
+    if design.analysis.policy == "drop" and rows.failed.any():
         failed = rows.failed[0]
         inputs = rows.scores[0, :, : len(design.inputs)]
         apart = lie_apart(inputs[failed], inputs[~failed])
@@ -310,7 +310,7 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     """
     design = tables.design
     margins = design.study.margins
-    names = design.drawn.names
+    names = design.variables
     assert margins is not None
     if count < LEAST_ROWS:
         return replace(tables, without_line=f"at least {LEAST_ROWS} model runs more are needed")
@@ -328,7 +328,7 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     good = np.isfinite(answers).all(axis=1)
     if not good.all():
         # the curve would be that of the rows that answered
-        counted = design.study.analysis.policy == "bound"
+        counted = design.analysis.policy == "bound"
         near = math.isqrt(count)
         along = good[np.argsort(values)]
         gap = np.convolve(along, np.ones(near), "valid").min() < 0.5 * near

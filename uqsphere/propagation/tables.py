@@ -139,8 +139,8 @@ class Tables:
     def describe(self, name: str) -> Description:
         """The description of a quantity; an accurate expansion is its control variate."""
         sample = self.sample
-        quantiles = self.design.study.analysis.quantiles
-        if not self.design.drawn.names and sample.knows(name):
+        quantiles = self.design.analysis.quantiles
+        if not self.design.variables and sample.knows(name):
             value = exact(sample.answer(name)[0, 0])
             return Description(
                 mean=value,
@@ -227,7 +227,7 @@ class Tables:
 
     def described_rows(self, name: str, method: str) -> Description:
         """The description of a quantity by the rows of the sample alone."""
-        analysis = self.design.study.analysis
+        analysis = self.design.analysis
         return describe(
             self.sample.answer(name),
             censored=self.sample.late(name),
@@ -285,7 +285,7 @@ class Slow(Tables):
         """Mean, standard deviation and quantiles of a quantity."""
         corrected = self.corrected(name)
         if corrected is not None:
-            return corrected.describe(self.design.study.analysis.quantiles)
+            return corrected.describe(self.design.analysis.quantiles)
         method = f"{self.rows.size} {ROUGH}{self._kept}; {unseen(self.rows.size)}"
         return self.described_rows(name, method)
 
@@ -383,7 +383,7 @@ def evaluate(design: Design, model: Model, points: Sample, *, part: bool = False
     answers = model.evaluate(names, rows, design.columns)
     if not part:
         check_sizes(design, answers.values)
-    if not part or design.study.analysis.policy == "abort":
+    if not part or design.analysis.policy == "abort":
         check_failures(design, answers.status, answers.note)
     return answered(design, points, answers)
 
@@ -403,7 +403,7 @@ def check_sizes(design: Design, values: Array) -> None:
 
 def check_failures(design: Design, status: Places, note: str) -> None:
     """Refuse failed rows as the study's policy says."""
-    analysis = design.study.analysis
+    analysis = design.analysis
     good = status == 0
     if good.all() or analysis.policy == "bound":
         return

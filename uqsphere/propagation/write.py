@@ -104,7 +104,7 @@ def results_of(
             not_judged=design.not_judged,
             dependence=[_dependence(tie) for tie in study.dependence],
         ),
-        inputs={name: _input(study, name) for name in (*study.fixed, *design.drawn.names)},
+        inputs={name: _input(study, name) for name in (*study.fixed, *design.variables)},
         answers=answers,
         decisions=decisions,
         evidence=design.evidence,

@@ -16,7 +16,7 @@ from uqsphere.uq.fitting import STRENGTHS, is_fitted, series_behind
 
 from .format import DASH, meaning, source_text, value, value_range
 from .page import render
-from .tables import PageTable, columns
+from .tables import PageTable, Row, columns
 
 #: probabilities of the ends of the range that is printed of a random number
 ENDS = np.array([0.05, 0.95])
@@ -53,7 +53,7 @@ def _ties(study: Study) -> Iterator[str]:
 
 def _tables(study: Study) -> Iterator[PageTable]:
     """Inputs, and strengths where there are limits."""
-    rows = list[tuple[str, ...]]()
+    rows = list[Row]()
     for name, number in study.fixed.items():
         source = source_text(*study.source_of(name))
         rows.append((name, format_value(number, name), DASH, DASH, "fixed", source))
@@ -73,7 +73,7 @@ def _range(law: Law, name: str) -> str:
     return value_range(low, high, name)
 
 
-def _strength(limit: Limit) -> tuple[str, ...]:
+def _strength(limit: Limit) -> Row:
     """A strength as read: its tests, distribution, mean and range, and what it is held against."""
     law = limit.strength
     name = limit.quantity
@@ -160,7 +160,7 @@ def listing(what: str) -> str:
     outputs = ((name, display_unit(name)[0], entry.meaning) for name, entry in OUTPUTS.items())
     criteria = ((name, criterion.meaning) for name, criterion in CRITERIA.items())
     families = ((name, law.allowed() or "values, or a file") for name, law in FAMILIES.items())
-    rows: dict[str, Sequence[tuple[str, ...]]] = {
+    rows: dict[str, Sequence[Row]] = {
         "quantities": [("quantity", "unit", "meaning"), *outputs],
         "criteria": [("criterion", "meaning"), *criteria],
         "distributions": [("distribution", "keys"), *families],

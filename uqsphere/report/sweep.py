@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uqsphere.arrays import frozen
+from uqsphere.arrays import Names, frozen
 from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
 from uqsphere.quantities import display_unit, lookup
@@ -63,7 +63,7 @@ class Sweep:
 
     title: str
     folder: Path
-    keys: tuple[str, ...]
+    keys: Names
     points: Sequence[Point]
 
     @property

@@ -1,10 +1,10 @@
 """The tables of a run: what the page shows whole, and the terminal in part."""
 
 import itertools
-import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,14 +51,14 @@ from .sentences import (
 )
 
 #: texts of a row
-Row: TypeAlias = Sequence[str]
+Row = Sequence[str]
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
 #: where a doubt without a margin stands among margins, and its text
 _WITHOUT_MARGIN: dict[MarginNote, tuple[float, str]] = {
-    "everywhere": (math.inf, "whole range"),
-    "nowhere": (-math.inf, "none"),
-    "": (-math.inf, DASH),
+    "everywhere": (inf, "whole range"),
+    "nowhere": (-inf, "none"),
+    "": (-inf, DASH),
 }
 
 
@@ -74,7 +74,7 @@ class PageTable(NamedTuple):
     note: str = ""
 
 
-def columns(rows: Sequence[Row], width: float = math.inf) -> list[str]:
+def columns(rows: Sequence[Row], width: float = inf) -> list[str]:
     """Rows of texts as lines of a terminal, heads first; where that is narrow, heads are broken
     and, if that is not enough, the texts of the first column.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from uqsphere.quantities import lookup
 from uqsphere.uq import Estimate
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: rows as an analysis makes them
-Rows: TypeAlias = Iterator[Answer]
+Rows = Iterator[Answer]
 #: columns of answers.csv and of `Run.answers`
 COLUMNS = tuple(Answer.model_fields)
 

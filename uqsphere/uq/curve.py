@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import inf, nan
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def fragility(
     counts = np.broadcast_to(samples, grid.shape)
     curve = []
     values = dict[float, Estimate]()
-    carried = carrying or [math.inf] * len(grid)
+    carried = carrying or [inf] * len(grid)
     for level, row, count, by in zip(grid.tolist(), probabilities, counts, carried, strict=True):
         p = float(row.mean())
         q = (1.0 - row).mean()
@@ -113,7 +114,7 @@ def _crossing(places: Array, probability: Array, target: float, least: Array) ->
     # half-way between the running maximum and the running minimum from the right
     scores = np.mean(rising(scores), axis=0)
     if not (scores[0] <= 0.0 <= scores[-1] and scores[0] < scores[-1]):
-        return math.nan
+        return nan
     roots = PchipInterpolator(places, scores).roots(extrapolate=False)
     return float(next(filter(np.isfinite, roots), places[np.abs(scores).argmin()]))
 
@@ -164,7 +165,7 @@ def _value(
         error = spread(there, replicates / fewest)
     carriers_there = max(carrying[k - 1 : k + 1])
     worth = 1.0 + freedom(replicates, carriers_there)
-    low, high, _ = probability_ends(target, 1.0 - target, error, worth, math.inf)
+    low, high, _ = probability_ends(target, 1.0 - target, error, worth, inf)
     sides = [_crossing(places, pooled, p, least) for p in (low, high)]
     if ends is not None:
         first, last, *outer = (_crossing(places, end, target, least) for end in ends)
@@ -201,6 +202,6 @@ def _value(
     if pooled[-1] >= pooled[0]:
         outer.reverse()
     # open where the curve does not take it
-    outermost = np.where(np.isnan(outer), [-math.inf, math.inf], outer)
+    outermost = np.where(np.isnan(outer), [-inf, inf], outer)
     low, high = backward(np.add(outermost, [-between_points, between_points])).tolist()
     return replace(estimate, low_unseen=low, high_unseen=high)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.arrays import bundle
+from uqsphere.arrays import Names, bundle
 
 from . import forms
 from .forms import Form, LawError, Placed
@@ -66,14 +66,14 @@ class Family:
         return family_of, (self.name,)
 
     @property
-    def keys(self) -> tuple[str, ...]:
+    def keys(self) -> Names:
         """Every key of the parameters, without lower and upper, in the order of the
         alternatives.
         """
         return tuple(dict.fromkeys(chain(*self.alternatives, self.optional)))
 
     @property
-    def parameters_of(self) -> tuple[str, ...]:
+    def parameters_of(self) -> Names:
         """Keys of the parameters that a law keeps."""
         return (*self.alternatives[0], *self.optional)
 

@@ -119,7 +119,7 @@ class Dependence:
     Student t copula.
     """
 
-    of: tuple[str, ...]
+    of: Names
     spearman: float | None = None
     kendall: float | None = None
     copula: str = "gaussian"

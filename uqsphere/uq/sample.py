@@ -27,10 +27,10 @@ class Sample:
         each
     """
 
-    names: tuple[str, ...]
+    names: Names
     scores: Array
     inputs: Array
-    quantities: tuple[str, ...]
+    quantities: Names
     answers: Array
     censored: Flags
     status: Places

@@ -18,6 +18,7 @@ first crosses a level, and `turn`, where its slope changes sign.  `after_step` l
 from __future__ import annotations
 
 import math
+from math import inf, nan
 
 import numpy as np
 
@@ -208,7 +209,7 @@ def passage(s, j, kind, level, sign, begin, end):
                 return root(s, j, kind, level, sign, a, top)
         left = right
         left_slope = right_slope
-    return math.inf
+    return inf
 
 
 @compiled
@@ -307,7 +308,7 @@ def _first_event(s, j):
     ends = s.theta[j]
     for face in range(2):
         m = face * LANES + j
-        at = math.inf
+        at = inf
         if s.x[0, m] > 0.0:
             if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
                 _note_graze(s, j, face, ends)
@@ -347,10 +348,10 @@ def _branch_end(s, j, face, end):
             rate, _ = _bend_of(s, m, begin)
             if rate > 0.0:  # where the loading begins the rate may be zero but for rounding
                 return passage(s, j, RATE + face, 0.0, -1.0, begin, end)
-        return math.inf
+        return inf
     largest = s.largest[m] - s.dent[m]
     if s.top[m] < largest * (1.0 - ARMED):
-        return math.inf
+        return inf
     if s.x[0, m] < largest * (1.0 - ARMED):
         return passage(s, j, face, largest, 1.0, 0.0, end)
     # from its largest approach a spring goes down; after a shallow turn it may come up through it
@@ -365,7 +366,7 @@ def _branch_end(s, j, face, end):
             if rate < 0.0:
                 begin = turn(s, j, face, (begin, rate), (theta, above_rate))
             return passage(s, j, face, largest, 1.0, begin, theta)
-    return math.inf
+    return inf
 
 
 @compiled
@@ -394,7 +395,7 @@ def _note_graze(s, j, face, ends):
     lane = s.lane[j]
     if s.wanted & tracked.TO_THE_END and math.isnan(lane.lost) and math.isnan(lane.grazed):
         at = passage(s, j, face, lane.faint, -1.0, 0.0, ends)
-        if at < math.inf:
+        if at < inf:
             lane.grazed = lane.time + s.h[j] * at
 
 
@@ -402,17 +403,17 @@ def _note_graze(s, j, face, ends):
 def _both_below(s, j, level, end):
     """First theta in [0, end] at which both approaches lie below `level`, or inf."""
     if max(s.floor[j], s.floor[LANES + j]) >= level:
-        return math.inf
+        return inf
     at = 0.0
     for _ in range(8 * POINTS):
         before = at
         for face in range(2):
             at = passage(s, j, face, level, -1.0, at, end)
-            if at == math.inf:
+            if at == inf:
                 return at
         if at == before:
             return at
-    return math.inf
+    return inf
 
 
 @compiled
@@ -432,7 +433,7 @@ def after_step(s, j):
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
             lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
-    if not s.rigged and lane.end == math.inf and lane.time >= lane.pulse_end:
+    if not s.rigged and lane.end == inf and lane.time >= lane.pulse_end:
         # the record ends below a share of the largest approach
         lane.low = tail_level(s, j)
         at = _both_below(s, j, lane.low, ends)
@@ -441,7 +442,7 @@ def after_step(s, j):
             lane.why = End.RECORD
             lane.ended = lane.time + at * s.h[j]
             if lane.lost > lane.ended:  # a loss after the record's end is none
-                lane.lost = math.nan
+                lane.lost = nan
     if s.wanted & tracked.WANT_CARRIED:
         _note_squared_forces(s, j, ends)
     if s.wanted & tracked.WANT_DURATION:
@@ -544,11 +545,11 @@ def next_touch(s, j):
     """How long until a gap closes while no force acts: inf if both grow for ever, NaN while a face
     is pressed.
     """
-    closing = math.inf
+    closing = inf
     for face in range(2):
         m = face * LANES + j
         if s.x[0, m] > 0.0:
-            return math.nan
+            return nan
         rate = s.there[m] * (s.free[0, m] + (2.0 * face - 1.0) * s.u[0, j])
         if rate > 0.0:
             closing = min(closing, -s.x[0, m] / rate)
@@ -568,7 +569,7 @@ def first_at(s, j, made, level):
         if kept.crest < level:
             continue
         end = min(kept.holds, lane.ended - kept.began) / kept.unit
-        best = math.inf
+        best = inf
         for face in range(2):
             m = face * LANES + j
             height = level
@@ -580,9 +581,9 @@ def first_at(s, j, made, level):
             for k in range(TERMS):
                 s.x[k, m] = kept.path[face, k]
             best = min(best, passage(s, j, face, height, 1.0, 0.0, end))
-        if best < math.inf:
+        if best < inf:
             return kept.began + best * kept.unit
-    return math.nan
+    return nan
 
 
 # --- The first short step from a touch, where x^(3/2) has no power series in time: Runge-Kutta

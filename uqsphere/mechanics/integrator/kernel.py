@@ -32,6 +32,7 @@ units and who writes them.
 from __future__ import annotations
 
 import math
+from math import inf, nan
 
 from . import events, incoming, lanes, records, tracked
 from .compiled import compiled
@@ -119,7 +120,7 @@ def _leave(s, j, made, out):
         lane.ended = incoming.step_end(s, j, made, lane.count - 1)
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
-    if not s.rigged and lane.end == math.inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+    if not s.rigged and lane.end == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     records.note_duration(s, j, left)
     records.finish(s, j, made, out[r])
@@ -173,12 +174,12 @@ def _enter(s, j, r, rows):
     lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
     lane.quickest = quickest * stiffest
     lane.back = min(lane.trips[0], lane.trips[1])
-    if pulse_end == math.inf and lane.back == math.inf:
+    if pulse_end == inf and lane.back == inf:
         lane.steady = 1.0
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
     lane.stop = incoming.next_break(s, j, rows)
-    if s.rigged and not events.next_touch(s, j) < math.inf:
+    if s.rigged and not events.next_touch(s, j) < inf:
         lane.fate = tracked.NEVER_CLOSES
 
 
@@ -231,7 +232,7 @@ def _try_step(s, j):
     s.h[j] = min(min(lane.proposed, lane.stop - lane.time), lane.back)
     s.h[LANES + j] = s.h[j]
     # impulse by which a step may err because the series of its root has parted from the root
-    allowed = math.inf
+    allowed = inf
     if s.mode == FULL:
         allowed = lane.mass * s.u_size[j]
     for m in range(j, PAIR, LANES):
@@ -242,7 +243,7 @@ def _try_step(s, j):
         parts = _APART_IN_RIGS
     s.wrong_allowed[j] = parts * s.error[j] * min(scale, allowed)
     if s.mode == LINEAR:
-        s.wrong_allowed[j] = math.inf
+        s.wrong_allowed[j] = inf
     # `faint` is the error of an approach, less than the tolerance; in a row that is looked at again
     # all steps may err one way.  Below `near` a loss of contact is looked for; only a face that has
     # been well above both (`touched`) can lose it
@@ -287,7 +288,7 @@ def _choose(s, j):
     left = lane.stop - lane.time
     if lane.touching:
         theta = 1.0
-        s.wrong_allowed[j] = math.inf
+        s.wrong_allowed[j] = inf
         events.step_from_touch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
@@ -423,7 +424,7 @@ def _turn(s, j, ending, made):
     jump.
     """
     lane = s.lane[j]
-    ahead = math.nan
+    ahead = nan
     at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     at_stop = at_stop and lane.why < End.CONTACT
     _move_on(s, j, ending)
@@ -443,7 +444,7 @@ def _fate(s, j, ending, at_stop, ahead, made):
     lane = s.lane[j]
     if lane.why == End.RECORD:
         return tracked.OK
-    if ahead == math.inf and lane.time >= records.echoes_have_acted(s, j):
+    if ahead == inf and lane.time >= records.echoes_have_acted(s, j):
         return tracked.OK
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
@@ -471,7 +472,7 @@ def _judge(s, j):
     if s.wanted & tracked.WHOLE_PATH:
         oldest = 0
     for bar in range(2):
-        if lane.trips[bar] < math.inf and lane.time < lane.end:
+        if lane.trips[bar] < inf and lane.time < lane.end:
             oldest = min(oldest, max(lane.first[bar], 0))
     if lane.count - oldest >= s.capacity or lane.count >= LIMIT:
         lane.fate = tracked.FULL_ROOM
@@ -536,9 +537,9 @@ def _propose(s, j, ending, at_stop, ahead):
     lane.proposed = max(ending * s.h[j] * growth, kept_up)
     if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         lane.proposed = max(lane.proposed, s.h[j])
-    if ahead < math.inf:  # free flight is linear in time: one step to the touch
+    if ahead < inf:  # free flight is linear in time: one step to the touch
         lane.proposed = 1.001 * ahead
-    elif ahead == math.inf:
+    elif ahead == inf:
         lane.proposed = 1e30
 
 
@@ -548,7 +549,7 @@ def _jump(s, j, rows):
     lane = s.lane[j]
     lane.proposed *= GROWTH
     incoming.enter_piece(s, j, rows)
-    if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.back == math.inf:
+    if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.back == inf:
         lane.steady = 0.0
     if not incoming.reflect_break(s, j):
         lane.fate = tracked.CROWDED

@@ -19,6 +19,7 @@ Scaled variables.
 from __future__ import annotations
 
 import math
+from math import inf
 
 from . import tracked
 from .compiled import compiled
@@ -61,10 +62,10 @@ def echoes_have_acted(s, j):
     lane = s.lane[j]
     wait = 0.0
     for bar in range(2):
-        if lane.reflect[bar] < 0.0 and lane.trips[bar] < math.inf:
+        if lane.reflect[bar] < 0.0 and lane.trips[bar] < inf:
             wait = max(wait, 2.0 * lane.trips[bar])
     if wait == 0.0:
-        return -math.inf
+        return -inf
     return lane.parted + wait * (1.0 + 1e-12)
 
 
@@ -148,7 +149,7 @@ def _largest_squeeze(s, j):
     largest = max(lane.peak[FACE_A], lane.peak[FACE_B])
     if s.has_laws:
         force = largest_force(s, j)
-        soft = math.inf
+        soft = inf
         stiff = 0.0
         for m in range(j, PAIR, LANES):
             force = min(force, s.peak_force[m])
@@ -198,7 +199,7 @@ def no_harder_squeeze(s, j, theta, made):
     highest = 0.0
     for bar in range(2):
         s.cells[bar] = 0
-        if lane.trips[bar] < math.inf:
+        if lane.trips[bar] < inf:
             if lane.reflect[bar] < 0.0:
                 return False
             s.cells[bar] = _bound_waves(s, j, bar, made)
@@ -276,7 +277,7 @@ def no_higher_approach(s, j):
     if level < 0.0:
         return False
     stored = 0.5 * lane.mass * (s.u[0, j] - level) ** 2
-    least = math.inf
+    least = inf
     rest = level
     least_phi = 0.5 * level * level
     for m in range(j, PAIR, LANES):
