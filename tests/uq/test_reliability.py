@@ -5,6 +5,7 @@ margins.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -283,9 +284,10 @@ def test_one_strength_for_two_limits_breaks_at_the_larger_demand() -> None:
 
 
 def test_samples_without_an_answer_widen_the_interval() -> None:
-    failed = np.zeros((R, N), dtype=bool)
-    failed[:, 0] = True
-    states = [constant(-1.0, failed=failed, on_failure="bound"), constant(-1.0, on_failure="bound")]
+    whole = constant(-1.0, on_failure="bound")
+    demands = whole.demands.copy()
+    demands[:, 0] = math.nan
+    states = [replace(whole, demands=demands), whole]
     found = exceedance(make_union(states, np.eye(2), np.random.default_rng(0)).state)
     p = 1.0 - ndtr(1.0) ** 2
     assert found.low <= p * (1.0 - 1.0 / N) * (1.0 + 1e-9)

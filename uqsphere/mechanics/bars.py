@@ -221,7 +221,7 @@ def correct(
             f"step, radius and wave_speed must be positive, not {step!r}, {radius!r}, "
             f"{wave_speed!r}"
         )
-    strain = np.asarray(strain, dtype=float)
+    strain = np.asarray(strain, float)
     frequency = 2.0 * math.pi * np.fft.rfftfreq(len(strain), step) * radius / wave_speed
     turned = np.exp(-1j * first_mode(nu).lag(frequency) * distance / radius)
     if len(strain) % 2 == 0:

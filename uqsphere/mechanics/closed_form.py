@@ -64,7 +64,7 @@ def loading_time(x: Values) -> Array:
     >>> float(loading_time(0.5).round(12))
     0.591935816248
     """
-    x = np.asarray(x, dtype=float)
+    x = np.asarray(x, float)
     root = np.sqrt(x)
     closed = _time_at_root(root, -np.log1p(-root))
     return np.where(x < _SERIES_BELOW, _series(np.minimum(x, _SERIES_BELOW)), closed)
@@ -88,7 +88,7 @@ def loading_approach(s: Values) -> Array:
     >>> loading_approach([0.0, 0.8193410, np.inf]).round(6).tolist()
     [0.0, 0.629961, 1.0]
     """
-    s = np.asarray(s, dtype=float)
+    s = np.asarray(s, float)
     # beyond s = 60 the approach is 1 to the last bit
     large = np.clip(s, _SERIES_BELOW, 60.0)
     z = np.interp(large, *_table())
@@ -123,8 +123,8 @@ def massless_approach(s: Values, theta: Values) -> Array:
     >>> massless_approach([0.4, 0.8, 6.0], 0.8).round(6).tolist()
     [0.363053, 0.620178, 0.066776]
     """
-    s = np.asarray(s, dtype=float)
-    theta = np.asarray(theta, dtype=float)
+    s = np.asarray(s, float)
+    theta = np.asarray(theta, float)
     loading = loading_approach(np.minimum(s, theta))
     relaxing = relaxing_approach(loading, np.maximum(s - theta, 0.0))
     return np.where(s > theta, relaxing, loading)
@@ -217,7 +217,7 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
     weight; all rows under slow loading; impacts with one contact and no reflected wave during
     contact.
     """
-    every, (behind, ahead) = np.ones(len(scene), dtype=bool), scene.partners
+    every, (behind, ahead) = np.ones(len(scene), bool), scene.partners
     if scene.by_wave:
         plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
         applies = fidelity == "massless" and scene.infinite and scene.contact_law == "hertz"

@@ -128,7 +128,7 @@ def first_fractures(
         )
         courses = {motion.row: _course(motion) for motion in moved if isinstance(motion, Motion)}
         for at, path in enumerate(paths):
-            rows = np.array([row for row in courses if shares[row, at] < 1.0], dtype=int)
+            rows = np.array([row for row in courses if shares[row, at] < 1.0], int)
             if len(rows):
                 crossings[:, rows, at] = _cross(
                     scene, rows, [courses[row] for row in rows], path, shares[rows, at]

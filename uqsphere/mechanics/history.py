@@ -139,7 +139,7 @@ class History:
         force = {"A": self.force_a, "B": self.force_b}[face]
         scales = self.motion.scales
         approach = contact.approach_at_force(force, scales.hertz_constant)[:, None]
-        distance = np.array(distance, dtype=float, ndmin=1)
+        distance = np.array(distance, float, ndmin=1)
         return contact.pressure_over_contact(
             distance, approach, scales.modulus, scales.effective_radius
         )

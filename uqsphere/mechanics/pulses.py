@@ -77,7 +77,7 @@ def striker_steps(ratio: Values) -> tuple[Array, Flags]:
     >>> striker_steps([0.5, 1.0, 2.0])[0][:, :3].round(4).tolist()
     [[0.6667, 0.0, 0.0], [1.0, 0.0, 0.0], [1.3333, 0.4444, 0.1481]]
     """
-    ratio = np.array(ratio, dtype=float, ndmin=2).T
+    ratio = np.array(ratio, float, ndmin=2).T
     left = np.maximum((ratio - 1.0) / (ratio + 1.0), 0.0)
     shares = left ** np.arange(_MOST_STEPS)
     shares = np.where(shares >= _FAINT_STEP, shares, 0.0)
@@ -187,9 +187,9 @@ def build_pulse(shape: str, duration: Values, numbers: ColumnMap | None = None) 
     >>> (pulse.breaks * 1e6).round(9).tolist()
     [[0.0, 20.0, 100.0, 120.0]]
     """
-    duration = np.array(duration, dtype=float, ndmin=1)
+    duration = np.array(duration, float, ndmin=1)
     columns = {
-        name: np.broadcast_to(np.array(value, dtype=float), duration.shape)
+        name: np.broadcast_to(np.array(value, float), duration.shape)
         for name, value in (numbers or {}).items()
     }
     return SHAPES[shape](duration, columns)
@@ -244,7 +244,7 @@ class MeasuredPulse:
             breaks=np.tile(self.breaks, (rows, 1)),
             coefficients=np.tile(self.coefficients, (rows, 1, 1)),
             frequency=np.zeros(rows),
-            valid=np.ones(rows, dtype=bool),
+            valid=np.ones(rows, bool),
         )
 
 

@@ -420,7 +420,7 @@ class Scene:
 
     def _valid_numbers(self) -> Flags:
         """Rows whose numbers, scale factors and contact laws are valid, (n,)."""
-        inside = np.ones(len(self), dtype=bool)
+        inside = np.ones(len(self), bool)
         for name, column in self.columns.items():
             if name.partition(".")[2] in _CHECKED_ONLY and self.contact_law == "hertz":
                 continue
@@ -442,7 +442,7 @@ class Scene:
         c, scales, (behind, ahead) = self.columns, self.scales, self.partners
         if self.by_wave:
             return self.pulse.valid & ~(2.0 * c["sphere.radius"] > c["bars.diameter"])
-        inside = np.ones(len(self), dtype=bool)
+        inside = np.ones(len(self), bool)
         for partner in self.there:
             # it is 0 for a body without waves, and a rod under a weight is not limited
             if behind is None or partner.kind == "plate":

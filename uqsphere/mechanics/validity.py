@@ -366,7 +366,7 @@ def grades_of(rule: Rule, measured: Array) -> Places:
     >>> grades_of(RULES["small_contact"], np.array([0.1, 0.25, 0.4, nan])).tolist()
     [0, 2, 3, 0]
     """
-    grades = np.zeros(len(measured), dtype=np.int64)
+    grades = np.zeros(len(measured), np.int64)
     for grade, threshold in enumerate(rule.thresholds, start=1):
         beyond = measured > threshold if rule.rising else measured < threshold
         grades[beyond] = grade

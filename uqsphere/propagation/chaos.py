@@ -59,8 +59,8 @@ Indices = Mapping[str, tuple[Estimate, ...]]
 class Expansion:
     """An expansion of one quantity with what the rows that it was not fitted to say of it.
 
-    fit : the expansion, of the quantity or its logarithm, in the germs of the inputs
-    rows : rows of the first replicate that it was fitted to
+    fit : the expansion, of the quantity or its logarithm, in the germs of the inputs; it was fitted
+        to rows of the first replicate
     values : its values (R-1, n) at the rows of all other replicates
     residuals : (R-1, m) what it leaves of the first m of these rows
     cross : (R-1, T) means of the products of these with the terms of its plain form
@@ -71,7 +71,6 @@ class Expansion:
     """
 
     fit: Chaos
-    rows: int
     values: Array
     residuals: Array
     cross: Array
@@ -118,9 +117,8 @@ def expansions(
             continue
         rows = min(count, MOST_ROWS)
         earlier = before.get(name)
-        if earlier is not None and (earlier.rows == rows or earlier.left < GOOD):
+        if earlier is not None and (earlier.fit.samples == rows or earlier.left < GOOD):
             fit = earlier.fit
-            rows = earlier.rows
             values = fit.predict(points[1:])
             left = _left(outputs, values)
         else:
@@ -133,7 +131,6 @@ def expansions(
             continue
         fits[name] = Expansion(
             fit=fit,
-            rows=rows,
             values=values,
             residuals=rest,
             cross=np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few,

@@ -64,7 +64,7 @@ def fragility(tables: Tables) -> Rows:
         if min(allowed.value or 0.0, planned or 0.0) <= 0.0 or not limit.has_target:
             continue
         # the free number over its planned value, or the inverse for a limit that must break
-        values = np.array([allowed.value, allowed.low, allowed.high], dtype=float)
+        values = np.array([allowed.value, allowed.low, allowed.high], float)
         values[~(values > 0.0)] = math.nan
         factors = values / planned
         if limit.aim == "break":

@@ -370,7 +370,7 @@ def _inside_steep_steps(line: Line, least: float) -> list[float]:
     margins = line.design.study.margins
     assert margins is not None
     shares = shares_of(margins, np.array(line.values))
-    steep = np.zeros(len(shares) - 1, dtype=bool)
+    steep = np.zeros(len(shares) - 1, bool)
     for limit in line.design.limits:
         curve = line.means(line.state(limit).tails()[0]).mean(axis=1)
         steep |= np.abs(np.diff(score(np.clip(curve, least, 1.0 - least)))) > 0.25

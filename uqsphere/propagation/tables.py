@@ -361,13 +361,11 @@ def answered(design: Design, points: Sample, answers: EvaluatedRows) -> Sample:
     """
     shape = points.scores.shape[:2]
     cells = (*shape, len(design.columns))
-    status = np.resize(answers.status, shape)
     sample = points.with_answers(
         design.columns,
         np.resize(answers.values, cells),
         censored=np.resize(answers.censored, cells),
-        status=status,
-        failed=status != 0,
+        status=np.resize(answers.status, shape),
     )
     return with_test_forces(design, sample)
 

@@ -93,7 +93,7 @@ class Judged:
         """
         number = self.settled.number
         planned = self.aim.design.planned
-        if self.line is None or number is None or planned is None:
+        if number is None or planned is None:
             return False
         missed = any(
             (self.all_modes[limit.name].low or 0.0) > limit.target for limit in self.aim.limits
@@ -286,9 +286,9 @@ def _range(estimate: Estimate) -> Range:
 def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
     settled = judged.settled
-    free = judged.aim.design.study.margins
-    number = settled.use
     design = judged.aim.design
+    free = design.study.margins
+    number = settled.use
     planned = design.planned
     factor = None
     if number is None or free is None or judged.contradicted:

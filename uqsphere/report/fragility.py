@@ -107,7 +107,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
 def _ends(points: Sequence[CurvePoint | Answer]) -> Array:
     """Places, values, lower and upper ends (4, n) of a curve; nan where there is none."""
     rows = [(point.at, point.value, point.low, point.high) for point in points]
-    return np.array(rows, dtype=float).T
+    return np.array(rows, float).T
 
 
 def planned_value(free: FreeNumber) -> float | None:

@@ -124,7 +124,7 @@ def _rows(course: Course) -> Iterator[tuple[str, str]]:
     if by_wave and math.isfinite(course.pulse_number):
         yield "theta, dimensionless pulse duration t_i/t_c", f"{course.pulse_number:.4g}"
     names = [name for name in OUTPUTS if not absent_in(course.motion.scene, name)]
-    row = np.array([[*course.values.values()]], dtype=float)
+    row = np.array([[*course.values.values()]], float)
     answers = evaluate_scene(study, tuple(course.values), row, names)
     for name, number, late in zip(names, answers.values[0], answers.censored[0], strict=True):
         if np.isfinite(number):

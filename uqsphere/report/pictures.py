@@ -95,7 +95,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     entry = results.study.quantities[quantity]
     unit, factor = display_unit(quantity, entry.range[1] or 1.0)
     scale = np.array([[factor], [1.0 / factor]])
-    x, y = np.array(entry.density, dtype=float) * scale
+    x, y = np.array(entry.density, float) * scale
     axes.fill_between(x, 0.0, y, color=BLUE, alpha=0.18, linewidth=0)
     axes.plot(x, y, color=BLUE, linewidth=1.6)
     low, high = x[[0, -1]]
@@ -104,7 +104,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
     names = list[tuple[float, float, float, str]]()
     for name, limit in results.study.limits.items():
         if limit.quantity == quantity and limit.strength.density and len(names) < MOST_STRENGTHS:
-            places, heights = np.array(limit.strength.density, dtype=float) * scale
+            places, heights = np.array(limit.strength.density, float) * scale
             # scaled to the demand's peak where a narrow strength would flatten it
             heights *= min(1.0, peak / heights.max())
             axes.plot(places, heights, "--", color=RED, linewidth=1.4)
@@ -133,7 +133,7 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
         inside = max(min(place, high - half), low + half)
         write(axes, text, (inside, height), (0.0, offset), color=RED, ha="center")
     texts = [text.removesuffix(f" {unit}") for text in quantile_texts(entry, quantity)]
-    ends = np.array(entry.range, dtype=float) * factor
+    ends = np.array(entry.range, float) * factor
     widths = [letter * (max(len(text), 4) + 1.5) for text in texts]
     shown = apart(ends, widths)
     shown += max(low + 0.5 * widths[0] - shown[0], 0.0)
@@ -235,7 +235,7 @@ def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
     """
     entry = results.study.quantities[quantity]
     unit, factor = display_unit(quantity, entry.range[1] or 1.0)
-    pairs = np.array(entry.held_out, dtype=float) * factor
+    pairs = np.array(entry.held_out, float) * factor
     ends = (pairs.min(), pairs.max())
     axes.plot(ends, ends, color=INK, linewidth=0.9)
     axes.plot(*pairs, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
@@ -247,7 +247,7 @@ def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
 def convergence_of(results: Results) -> Array:
     """Model runs, and the largest error / tolerance, at each size of the sample (2, n)."""
     rows = [(row.runs, row.error) for row in results.accuracy.reached if row.error]
-    return np.array(rows, dtype=float).reshape(-1, 2).T
+    return np.array(rows, float).reshape(-1, 2).T
 
 
 def draw_convergence(axes: Axes, sizes: Array) -> None:

@@ -242,7 +242,7 @@ class Corrected:
             mean=self.mean(),
             sd=sd,
             quantiles={p: self.quantile(p) for p in quantiles},
-            censored_share=share(np.zeros(self.table.shape, dtype=bool)),
+            censored_share=share(np.zeros(self.table.shape, bool)),
             scale=sd.value or self.response.outputs.std(),
         )
 

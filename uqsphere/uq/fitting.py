@@ -388,14 +388,15 @@ def distance(below: Array, leaving: Array) -> Array:
 # --- a law from a column --------------------------------------------------------------------------
 
 
-def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) -> Keys:
-    """Two parameters of what scipy.stats fits: its shapes, then its scale."""
+def _scipy_fit(name: str, data: Array, **fixed: float) -> Keys:
+    """The two parameters of what scipy.stats fits: its shapes, then its scale."""
     from scipy import stats
 
     # Pascals and micrometres meet the same optimiser
     size = np.mean(np.abs(data))
     fixed = {key: value / size for key, value in fixed.items()}
     *shapes, _, scale = getattr(stats, name).fit(data / size, **fixed)
+    keys = FAMILIES[name].keys
     return dict(zip(keys, (*shapes, scale * size), strict=False))
 
 
@@ -404,10 +405,8 @@ def _scipy_fit(name: str, data: Array, keys: tuple[str, str], **fixed: float) ->
 OTHERS: Mapping[str, Callable[..., Keys]] = {
     "exponential": lambda data: {"rate": data.size / data.sum()},
     "rayleigh": lambda data: {"scale": np.sqrt(0.5 * np.mean(data**2))},
-    "beta": lambda data, lower, upper: _scipy_fit(
-        "beta", data, ("alpha", "beta"), floc=lower, fscale=upper - lower
-    ),
-    "gamma": lambda data: _scipy_fit("gamma", data, ("shape", "scale"), floc=0.0),
+    "beta": lambda data, lower, upper: _scipy_fit("beta", data, floc=lower, fscale=upper - lower),
+    "gamma": lambda data: _scipy_fit("gamma", data, floc=0.0),
 }
 #: what a column of observations can become: a kernel density, a step function, or a member of a
 #: family

@@ -40,8 +40,8 @@ class LimitState:
     """Demands (R, n) of R independent randomisations against a strength.
 
     `strength` is a number or a law.  `tie`, with scores (R, n, k), says how it depends on the
-    inputs (`Joint.tie`).  `censored` demands are known only to exceed their value; `failed` rows
-    (and demands that are nan) are left out (`on_failure` "drop") or counted once as exceeding and
+    inputs (`Joint.tie`).  `censored` demands are known only to exceed their value; those that are
+    nan are left out (`on_failure` "drop") or counted once as exceeding and
     once as not ("bound"), never as survival.
     """
 
@@ -49,14 +49,13 @@ class LimitState:
     strength: Law | float
     tie: Tie = FREE
     censored: Flags | bool = False
-    failed: Flags | bool = False
     on_failure: str = "drop"
     method: str = "randomised quasi-Monte Carlo, strength integrated"
 
     @property
     def broken(self) -> Flags:
         """Rows without a demand (R, n)."""
-        return np.isnan(self.demands) | self.failed
+        return np.isnan(self.demands)
 
     @property
     def late(self) -> Flags:
@@ -282,17 +281,17 @@ class Union:
 
         Without any random strength it is counted: something over a strength of 1, or below it.
         """
+        lost = np.where(self.broken, math.nan, 0.0)
         counted = LimitState(
-            demands=np.where(self.any > 0.5, 2.0, 0.5),
+            demands=np.where(self.any > 0.5, 2.0, 0.5) + lost,
             strength=1.0,
-            failed=self.broken,
             on_failure=self.states[0].on_failure,
         )
         if not any(isinstance(state.strength, Law) for state in self.states):
             return counted
         return replace(
             counted,
-            demands=np.clip(score_of(self.any, self.none), -CERTAIN, CERTAIN),
+            demands=np.clip(score_of(self.any, self.none), -CERTAIN, CERTAIN) + lost,
             strength=make_law("normal", {"mean": 0.0, "sd": 1.0}),
             method="randomised quasi-Monte Carlo, strengths integrated",
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Cells, Flags, Names, Places, frozen
 
-_ROWS = ("scores", "inputs", "answers", "censored", "status", "failed")
+_ROWS = ("scores", "inputs", "answers", "censored", "status")
 
 
 @frozen
@@ -23,8 +23,7 @@ class Sample:
         each; numbers that move have values alone
     quantities : the q answers, in the order of the columns; none before the rows are evaluated
     answers, censored : values [SI], and whether they outlast the record, (R, n, q) each
-    status, failed : the model's code of each row, and whether an answer of it is missing, (R, n)
-        each
+    status : the model's code of each row (R, n)
     """
 
     names: Names
@@ -34,7 +33,6 @@ class Sample:
     answers: Array
     censored: Flags
     status: Places
-    failed: Flags
 
     @classmethod
     def at(cls, names: Names, scores: Array, inputs: Array) -> "Sample":
@@ -49,7 +47,6 @@ class Sample:
             answers=none,
             censored=none.astype(bool),
             status=np.zeros(shape, int),
-            failed=np.zeros(shape, bool),
         )
 
     @property
@@ -66,6 +63,11 @@ class Sample:
     def size(self) -> int:
         """Rows in all."""
         return self.replicates * self.count
+
+    @property
+    def failed(self) -> Flags:
+        """Whether an answer of a row is missing (R, n)."""
+        return self.status.astype(bool)
 
     def input(self, name: str) -> Array:
         """Physical values (R, n) of a random variable."""
@@ -92,9 +94,7 @@ class Sample:
         return not (odd.any() or self.failed.any())
 
     def with_answers(self, quantities: Names, answers: Array, **flags: Any) -> "Sample":
-        """The same points with answers (R, n, q); `censored`, `status` and `failed` are zero unless
-        given.
-        """
+        """The same points with answers (R, n, q); `censored` and `status` are zero unless given."""
         blank = Sample.at(self.names, self.scores, self.inputs)
         flags = {"censored": np.zeros(answers.shape, bool)} | flags
         return replace(blank, quantities=tuple(quantities), answers=answers, **flags)

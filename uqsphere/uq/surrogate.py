@@ -316,7 +316,7 @@ class Expansion:
     def quantiles(self, p: "ArrayLike", *, count: int = 1 << 17, seed: int = 0) -> Array:
         """Quantiles of the expansion's values at probabilities, of so many draws of the inputs."""
         draws = self.sample(count, seed=seed)["output"].to_numpy()
-        return np.asarray(np.quantile(draws, np.asarray(p, dtype=float)), float)
+        return np.asarray(np.quantile(draws, np.asarray(p, float)), float)
 
     def save(self, path: str | Path) -> None:
         """Write the expansion to a file (JSON), for `Expansion.load`."""

@@ -116,7 +116,7 @@ def constant_fit(outputs: Array, germs: tuple[GermLike, ...]) -> Chaos:
     mean, deviation = mean_and_sd(outputs)
     return Chaos(
         coefficients=np.array([mean]),
-        multi_indices=np.zeros((1, len(germs)), dtype=np.int64),
+        multi_indices=np.zeros((1, len(germs)), np.int64),
         germs=germs,
         cross_validation_error=float(deviation > 1e-14 * abs(mean)),
         samples=len(outputs),
@@ -323,7 +323,7 @@ def forward_selection(target: Target, basis: Basis) -> Choice:
     squares_left = np.vecdot(residuals, residuals)
     floors = ROUNDING * squares_left
     correlations = residuals @ candidates.T
-    rows = np.zeros(lanes, dtype=np.int64)
+    rows = np.zeros(lanes, np.int64)
     lane = 1 + folds
     sample = np.arange(n)
     predicted = held_out = np.zeros(n)
