@@ -227,4 +227,4 @@ def correct(
     if len(strain) % 2 == 0:
         # the highest component of a real record has no phase
         turned[-1] = abs(turned[-1])
-    return np.asarray(np.fft.irfft(np.fft.rfft(strain) * turned, len(strain)))
+    return np.fft.irfft(np.fft.rfft(strain) * turned, len(strain))

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Pair, bundle, special
+from uqsphere.arrays import Array, Pair, Values, bundle, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
@@ -302,15 +302,15 @@ class Curves:
             self._bases[limit.name] = self.by_strengths(limit)[:, 0]
         return self._bases[limit.name]
 
-    def middle(self, limit: Limit) -> Array:
+    def middle(self, limit: Limit) -> Values:
         """The mean exceedance (K,) of a limit with the other failure modes."""
-        return np.asarray(self.base(limit)[1].mean(axis=1))
+        return self.base(limit)[1].mean(axis=1)
 
     @cached_property
-    def rises(self) -> Array:
+    def rises(self) -> Values:
         """How much more each limit is exceeded at the last value than at the first (L,)."""
         exceeded = np.array([self.base(limit)[0].mean(axis=1) for limit in self.aim.limits])
-        return np.asarray(exceeded[:, -1] - exceeded[:, 0])
+        return exceeded[:, -1] - exceeded[:, 0]
 
     @property
     def safe_above(self) -> bool:

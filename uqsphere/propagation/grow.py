@@ -120,7 +120,7 @@ def grow(
         if stopped:
             # a last search with what is left of the budget
             tables = rare.search(model, replace(tables, stopped=stopped), rows_left)
-            tables = replace(tables, errors=[*accuracies(tables)])
+            tables = assessed(tables)
             if not tables.inaccurate and tables.stopped in ("budget", "cap", "no gain"):
                 tables = replace(tables, stopped="accurate")
             return tables
@@ -219,7 +219,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
         count = tables.sample.count // PAIRS_SHARE
         pairs = paired(design, model, count, inaccurate, tables.pairs, rows_left())
         tables = replace(tables, pairs=pairs)
-    return replace(tables, errors=[*accuracies(tables)])
+    return assessed(tables)
 
 
 def _by_chaos_accurate(tables: Tables, name: str) -> bool:
@@ -284,7 +284,12 @@ def pair_rows(design: Design, count: int, start: int = 0) -> Array:
     return np.stack(mixed)
 
 
-def accuracies(tables: Tables) -> Iterator[Accuracy]:
+def assessed(tables: Tables) -> Tables:
+    """The tables with the accuracies of their answers."""
+    return replace(tables, errors=[*_accuracies(tables)])
+
+
+def _accuracies(tables: Tables) -> Iterator[Accuracy]:
     """The accuracy of every answer that has one."""
     design = tables.design
     required = design.analysis.accuracy

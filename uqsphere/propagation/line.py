@@ -59,11 +59,11 @@ class Line:
         return Sample.join(*self.samples.values())
 
     @cached_property
-    def places(self) -> Array:
+    def places(self) -> Values:
         """The values on the scale on which curves are interpolated: logarithms where all are
         positive.
         """
-        return np.asarray(self.place_of(np.array(self.values)))
+        return self.place_of(np.array(self.values))
 
     @cached_property
     def few(self) -> Line:

@@ -30,7 +30,7 @@ from .chaos import points_of
 from .design import Design, at_normals
 from .fragility import margin_and_scale
 from .free_number import grid, moved, shares_of, values_at
-from .grow import accuracies, first_rows
+from .grow import assessed, first_rows
 from .line import CLOSE, Line, score
 from .progress import Progress
 from .tables import (
@@ -197,7 +197,7 @@ def tables_of(
     if tables.line:
         accurate = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
         tables = replace(tables, predicted_from=most, margins=accurate)
-    tables = replace(tables, errors=[*accuracies(tables)])
+    tables = assessed(tables)
     if not stopped:
         stopped = "budget" if tables.inaccurate else "accurate"
     return replace(tables, stopped=stopped, reached=((model.runs, tables.worst),))

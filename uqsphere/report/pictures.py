@@ -56,7 +56,7 @@ def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:
     from scipy.optimize import isotonic_regression
 
     offsets = np.cumsum(widths) - 0.5 * np.array(widths)
-    return np.asarray(isotonic_regression(np.array(places) - offsets).x + offsets)
+    return isotonic_regression(np.array(places) - offsets).x + offsets
 
 
 def plain_logarithms(axis: object, ratio: float) -> None:

@@ -97,9 +97,7 @@ def _scores(probabilities: Array, least: Array) -> Array:
         0.5 * np.where(p > 0.0, p, 1.0).min(axis=0) for p in (probabilities, 1.0 - probabilities)
     )
     lowest = np.minimum(least, above)
-    return np.asarray(
-        special.ndtri(np.clip(probabilities, lowest, 1.0 - np.clip(below, 1e-16, least)))
-    )
+    return special.ndtri(np.clip(probabilities, lowest, 1.0 - np.clip(below, 1e-16, least)))
 
 
 def _crossing(places: Array, probability: Array, target: float, least: Array) -> float:

@@ -125,23 +125,23 @@ class Motion:
         found = polyval(share, np.moveaxis(series[n], 2, 0), tensor=False)
         return np.where((s >= 0.0)[:, None], found, 0.0)
 
-    def states_at(self, times: Array) -> Array:
+    def states_at(self, times: Array) -> Values:
         """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before
         first touch.
         """
         approach = self.scales.approach
         units = np.array([approach, approach, self.scales.speed])
-        return np.asarray(self._at(self.states, times) * units)
+        return self._at(self.states, times) * units
 
-    def forces_at(self, times: Array) -> Array:
+    def forces_at(self, times: Array) -> Values:
         """Contact forces at A and B [N] at `times` [s], (m, 2)."""
         scales = self.scales
         if self.forces is not None:
-            return np.asarray(np.maximum(self._at(self.forces, times), 0.0) * scales.force)
+            return np.maximum(self._at(self.forces, times), 0.0) * scales.force
         approach = self.states_at(times)[:, :2]
         if self.fidelity == "linear":  # the secant stiffness beta sqrt(alpha_c)
-            return np.asarray(scales.force / scales.approach * np.maximum(approach, 0.0))
-        return np.asarray(contact.hertz_force(approach, scales.hertz_constant))
+            return scales.force / scales.approach * np.maximum(approach, 0.0)
+        return contact.hertz_force(approach, scales.hertz_constant)
 
     def pressure_at(self, force: Values, pole: int = 0) -> Values:
         """Centre pressure p_0 [Pa] of a face at a contact force [N]; the largest so far where the
@@ -456,7 +456,7 @@ def later_loading(scene: Scene, *, tolerance: float = 1e-4) -> Array:
         ).values["P_max"]
         for whole in (False, True)
     ]
-    return np.asarray(np.maximum(peaks[1] / peaks[0], 1.0))
+    return np.maximum(peaks[1] / peaks[0], 1.0)
 
 
 # --- rows that are integrated again ---------------------------------------------------------------
