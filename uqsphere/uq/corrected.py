@@ -94,8 +94,8 @@ class Corrected:
         if power == 2:
             values = values**2 + [each.sd**2 for each in integrals]
         # all of them are integrated at the same points
-        error = np.mean([each.moment_errors[power - 1] for each in integrals])
-        error += ROUNDING * self.response.outputs.std() ** power
+        error = float(np.mean([each.moment_errors[power - 1] for each in integrals]))
+        error += ROUNDING * float(self.response.outputs.std()) ** power
         if error < half:
             return values, error
         return table, half

@@ -56,7 +56,7 @@ def fragility(
     values = dict[float, Estimate]()
     carried = carrying or [inf] * len(grid)
     for level, row, count, by in zip(grid.tolist(), probabilities, counts, carried, strict=True):
-        p = row.mean()
+        p = float(row.mean())
         q = (1.0 - row).mean()
         # counts that agree in all replicates are still known to one sample only
         error = spread(row) or spread(row, 1.0 / count)

@@ -219,7 +219,7 @@ def fold_spread(values: Array) -> Values:
 
 def mean_and_sd(values: Array) -> Duo:
     """Mean and standard deviation; a power of two loses no figures, and squares stay finite."""
-    unit = 2.0 ** min(math.frexp(np.abs(values).max())[1], 1000)
+    unit = 2.0 ** min(math.frexp(float(np.abs(values).max()))[1], 1000)
     return unit * float((values / unit).mean()), unit * float((values / unit).std())
 
 
@@ -267,7 +267,7 @@ def distances(influence: Array, level: float = LEVEL) -> Duo:
     """
     n = len(influence)
     deviation = influence - influence.mean()
-    unit = np.abs(deviation).max()
+    unit = float(np.abs(deviation).max())
     if unit == 0.0:
         return 0.0, 0.0
     deviation = deviation / unit

@@ -340,7 +340,7 @@ def empirical(law: "Law") -> Form:
         rank = np.ceil(p * inside.size * (1.0 - 4e-16)).astype(int) - 1
         return np.asarray(inside[np.clip(rank, 0, inside.size - 1)])
 
-    moments = (inside.mean(), inside.std()) if inside.size else (nan, nan)
+    moments = (float(inside.mean()), float(inside.std())) if inside.size else (nan, nan)
     return Form(tails=tails, quantile=quantile, moments=moments, mass=inside.size / len(law.data))
 
 
@@ -411,7 +411,7 @@ def _kernels(data: Array, width: float) -> Form:
         return np.concatenate(pieces)
 
     form = _mean_of(data.size, lambda y: GAUSS.tails((y - data) / width), nodes)
-    return replace(form, moments=(data.mean(), math.hypot(data.std(), width)))
+    return replace(form, moments=(float(data.mean()), math.hypot(data.std(), width)))
 
 
 def drawn(law: "Law") -> Form:

@@ -241,7 +241,7 @@ def _bounded(response: Response) -> Response:
     the expansion leaves.
     """
     y = response.outputs
-    whole = y.var()
+    whole = float(y.var())
     if response.constant or not whole > 0.0:
         return response
     # a fold that runs away may have no finite variance
@@ -259,10 +259,10 @@ def _bounded(response: Response) -> Response:
     for k, variance in enumerate(variances.tolist()):
         others = np.delete(variances, k)
         left_out = response.fold == k
-        median = np.median(others)
+        median = float(np.median(others))
         missing = folds[k].fit.cross_validation_error * whole
         room = max(distances(influence[~left_out], REJECTED)) + integration * median
-        room += t * 1.4826 * np.median(np.abs(others - median))
+        room += t * 1.4826 * float(np.median(np.abs(others - median)))
         room += missing + 2.0 * math.sqrt(missing * max(variance, median))
         inside = variance <= whole + up and variance + missing >= whole - down
         if inside and abs(variance - median) <= room:

@@ -213,10 +213,10 @@ class Chaos:
         plain = self.plain_form
         parts = plain.parts
         varying = plain.coefficients * parts[1].any(axis=1)
-        unit = np.abs(varying).max()  # squares of large ones stay finite
+        unit = float(np.abs(varying).max())  # squares of large ones stay finite
         squares = (varying / unit) ** 2
         mean = float(plain.coefficients[0])
-        whole = squares.sum()
+        whole = float(squares.sum())
         shares = squares @ parts
         if not self.log:
             return Integrals(mean=mean, sd=unit * math.sqrt(whole), shares=shares / whole)
@@ -229,7 +229,7 @@ class Chaos:
         ratios, off = ratio_of_means(shares.ravel() + tops - plain_tops, scale)
         t = student(PAIRS_REPLICATES)
         return Integrals(
-            mean=mean + unit * middle.mean(),
+            mean=mean + unit * float(middle.mean()),
             sd=unit * math.sqrt(max(scale.mean(), 0.0)),
             shares=ratios.reshape(2, d),
             error=t * float(spreads(off).max()),

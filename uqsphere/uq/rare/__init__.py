@@ -279,7 +279,7 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
     mass = evaluator.mass(np.concatenate(points))
     rows = np.nan_to_num(mass).reshape(REPLICATES, count).mean(axis=1)
     total = mass.size
-    p = rows.mean()
+    p = float(rows.mean())
     unseen = count_bound(total)
     low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / count), REPLICATES, total)
     high = min(max(high, p + unseen) + float(np.isnan(mass).mean()), 1.0)

@@ -344,7 +344,7 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
     extra = 0.0
     if lost.any():
         method += ", interval widened for failed rows"
-        extra = lost.mean() + student(REPLICATES) * spread(lost.mean(axis=1))
+        extra = float(lost.mean()) + student(REPLICATES) * spread(lost.mean(axis=1))
     value = rows.mean()
     if not value > 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)

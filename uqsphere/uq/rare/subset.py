@@ -101,7 +101,7 @@ def subset_simulation(evaluator: Evaluator, per_level: int) -> SubsetAnswer:
     shares = probability[probability > 0.0]
     if not shares.size:
         # no failure was seen: the level that was reached bounds the probability from above
-        high = min(1.0, 3.0 * reached.mean())
+        high = min(1.0, 3.0 * float(reached.mean()))
         if level == 0:
             high = count_bound(count * REPETITIONS)
         reason = f"no failure was reached; its probability is below {high:.2g}"
