@@ -396,7 +396,7 @@ def _scipy_fit(name: str, data: Array, **fixed: float) -> Keys:
     size = np.mean(np.abs(data))
     fixed = {key: value / size for key, value in fixed.items()}
     *shapes, _, scale = getattr(stats, name).fit(data / size, **fixed)
-    keys = FAMILIES[name].keys
+    keys = FAMILIES[name].parameters_of
     return dict(zip(keys, (*shapes, scale * size), strict=False))
 
 
