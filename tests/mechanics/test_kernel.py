@@ -370,12 +370,15 @@ def test_a_piece_of_a_pulse_as_short_as_a_rounding_is_over_at_once() -> None:
 
 
 def test_every_function_is_compiled_in_one_form() -> None:
-    """None is compiled twice, as numba does for a number that is written in a call."""
+    """None is compiled twice, as numba does for a number that is written in a call; the values of
+    series are those of approaches and of kept waves, arrays of two shapes.
+    """
     solve(random_scene(1, 1))
     for module in (events, faces, incoming, kernel, lanes, records):
         for function in vars(module).values():
             if hasattr(function, "py_func") and function.overloads:
-                assert len(function.overloads) == 1, function.__name__
+                forms = 2 if function is events.rise_of else 1
+                assert len(function.overloads) <= forms, function.__name__
 
 
 @pytest.mark.parametrize("name", ["_sums", "_roots", "reach", "survey", "fit_echoes"])
