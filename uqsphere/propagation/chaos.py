@@ -126,7 +126,7 @@ def expansions(
         form = fit.plain_form
         rest = (outputs[1:] - values)[:, :few]
         terms = form.rows(np.concatenate(points[1:, :few]))
-        wrong = _runs_away(fit, values, left)
+        wrong = _made_without_rows(fit, values, left)
         if not wrong < GOOD * CONTROL:
             continue
         fits[name] = Expansion(
@@ -177,7 +177,7 @@ def _explained(points: Array, residuals: Array) -> Array:
     return np.stack([least, np.where(larger, neighbours, squares)])
 
 
-def _runs_away(fit: Chaos, values: Array, left: float) -> float:
+def _made_without_rows(fit: Chaos, values: Array, left: float) -> float:
     """Share of the variance of an expansion that it makes where no row lies, as far as it may be
     wrong there: 0 where the rows do not contradict its variance.
 
@@ -230,14 +230,14 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
             made = shares @ np.abs(beyond**2 - at_last**2)
             error = (np.take_along_axis(residuals, outermost, 1) ** 2).mean()
             tail = side * np.append(free, last)
-            own, exact = _by_same_degree(fit, j, law, scores[0, : fit.samples, j], tail)
-            # what such polynomials miss is a deviation, of which the interval holds 95 %
-            missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
-            with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
-                if fit.log:  # an exponential follows them
-                    missed = 0.0
-                doubt = np.sqrt(error / max(shares @ (before - at_last) ** 2, 1e-300))
+            missed = 0.0
+            if not fit.log:  # the exponential of a polynomial follows such a tail
+                own, exact = _by_same_degree(fit, j, law, scores[0, : fit.samples, j], tail)
+                # what such polynomials miss is a deviation, of which the interval holds 95 %
+                missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
                 missed /= max(shares @ np.abs(own**2 - own[-1] ** 2)[:-1], 1e-300)
+            with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
+                doubt = np.sqrt(error / max(shares @ (before - at_last) ** 2, 1e-300))
                 wrong += chance * float(made * min(max(2.0 * doubt + doubt**2, missed), 1.0))
     return wrong / moments.sd**2
 

@@ -145,6 +145,12 @@ class DecisionText:
             text += f"{alone}, by your own limits and with {all_modes(decision)}"
         else:
             text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
+            own = decision.own
+            if own is not None and own.code != "computation":
+                at_plan = probability_at_target(decision.aim, own.at_plan, own.target)
+                governs = [(doubt.subject, doubt.code) for doubt in self._governing]
+                if at_plan != alone and (own.subject, own.code) not in governs:
+                    text += f" as computed ({at_plan}: {_words(own)[1]})"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self._target}."
