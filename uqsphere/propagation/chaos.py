@@ -235,7 +235,8 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
                 own, exact = _by_same_degree(fit, j, law, scores[0, : fit.samples, j], tail)
                 # what such polynomials miss is a deviation, of which the interval holds 95 %
                 missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
-                missed /= max(shares @ np.abs(own**2 - own[-1] ** 2)[:-1], 1e-300)
+                with np.errstate(over="ignore"):
+                    missed /= max(shares @ np.abs(own**2 - own[-1] ** 2)[:-1], 1e-300)
             with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
                 doubt = np.sqrt(error / max(shares @ (before - at_last) ** 2, 1e-300))
                 wrong += chance * float(made * min(max(2.0 * doubt + doubt**2, missed), 1.0))

@@ -144,13 +144,14 @@ class DecisionText:
         elif together == alone:
             text += f"{alone}, by your own limits and with {all_modes(decision)}"
         else:
-            text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
             own = decision.own
-            if own is not None and own.code != "computation":
+            governs = [(doubt.subject, doubt.code) for doubt in self._governing]
+            if own is not None and (own.subject, own.code) not in governs:
+                # by the doubt that the sentence names
                 at_plan = probability_at_target(decision.aim, own.at_plan, own.target)
-                governs = [(doubt.subject, doubt.code) for doubt in self._governing]
-                if at_plan != alone and (own.subject, own.code) not in governs:
-                    text += f" as computed ({at_plan}: {_words(own)[1]})"
+                if own.code != "computation" and at_plan != alone:
+                    alone += f" to {at_plan}"
+            text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self._target}."
