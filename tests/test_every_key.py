@@ -268,7 +268,7 @@ def run_effects(study: Study, name: str) -> dict[str, Any]:
     rows: list[Any] = []
     if not study.black_box and not RIGS[study.rig].by_press:
         history = uqsphere.history(study)
-        rows = [history_rows(history), history.to_frame().sum().to_dict()]
+        rows = [[*history_rows(history)], history.to_frame().sum().to_dict()]
         rows += [(gauge.name, float(np.abs(gauge.strain).sum())) for gauge in history.gauges]
     return {
         "answers": results.answers,

@@ -47,6 +47,8 @@ _REPEATS = 3
 _QUANTITIES = (("p_max",), ("contact_duration",))
 _STUDIES = ("granite", "limestone_drop_weight", "glass_bead_small_bar")
 
+#: rows of a table of `bench`
+Entries = list[dict[str, Any]]
 #: largest pressures (n,) [Pa] of a scene of `scattered_scene` at a tolerance
 Contender = Callable[[Scene, float], Array]
 
@@ -131,9 +133,7 @@ def bench(*, rows: int) -> pd.DataFrame:
     return pd.DataFrame(entries)
 
 
-def compared(
-    case: str, contender: Contender, scene: Scene, *, repeats: int = _REPEATS
-) -> list[dict[str, Any]]:
+def compared(case: str, contender: Contender, scene: Scene, *, repeats: int = _REPEATS) -> Entries:
     """Rows of the table for another integrator, one for each tolerance, on a scene of
     `scattered_scene`.
     """
@@ -142,7 +142,7 @@ def compared(
     return _table(case, "p_max", partial(contender, scene), expected, repeats)
 
 
-def _timed(case: str, scene: Scene, fidelity: str, groups: Iterable[Names]) -> list[dict[str, Any]]:
+def _timed(case: str, scene: Scene, fidelity: str, groups: Iterable[Names]) -> Entries:
     """Rows of the table for the model, one for each group of quantities and tolerance."""
     entries = []
     for names in groups:
@@ -163,7 +163,7 @@ def _table(
     solved: Callable[[float], Array],
     expected: Array,
     repeats: int = _REPEATS,
-) -> list[dict[str, Any]]:
+) -> Entries:
     """One row for each tolerance; `expected` has quantities (k, n), which `solved` gives."""
     entries = []
     for tolerance in TOLERANCES:

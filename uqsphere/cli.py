@@ -72,7 +72,7 @@ def program() -> None:
 def main(argv: Sequence[str]) -> int:
     """Run a command; returns its exit code."""
     if argv and argv[0] in LABS and find_spec("uqsphere.labs"):
-        return _guarded(lambda: import_module(f"uqsphere.labs.{argv[0]}.cli").main(argv[1:]))
+        return _guarded(lambda: import_module("uqsphere.labs.files").run_command(*argv))
     parser = _parser()
     if "_ARGCOMPLETE" in os.environ:  # set by the shell that asks for completions
         with contextlib.suppress(ImportError):
@@ -519,7 +519,7 @@ def _sweep(options: Namespace) -> int:
     folder = _folder(options, "sweep")
     sweep = plan_sweep(options.over, folder, _reader(options))
     _warn(dict.fromkeys(chain.from_iterable(point.study.warnings for point in sweep.points)))
-    runs = {}
+    runs = sweep.runs
 
     def take_in(points: Iterable[Any]) -> None:
         """Write the page with those of some points that have run."""
@@ -528,7 +528,7 @@ def _sweep(options: Namespace) -> int:
             if run:
                 runs[point.name] = run
         if runs:
-            write_sweep(sweep, runs)
+            write_sweep(sweep)
 
     take_in(sweep.points)
     waiting = [point for point in sweep.points if point.name not in runs]
@@ -548,7 +548,7 @@ def _sweep(options: Namespace) -> int:
         for point in made:
             take_in([point])
     if runs:
-        print(sweep_text(sweep, runs, _width()))
+        print(sweep_text(sweep, _width()))
         print(f"report: {folder / 'report.html'}")
     if len(runs) < len(sweep.points):
         return INTERRUPTED
@@ -606,7 +606,7 @@ def _history(options: Namespace) -> None:
 
     study = _loaded(options)
     course = history(study)
-    rows = history_rows(course)
+    rows = [*history_rows(course)]
     width = min(max(len(text) for text, _ in rows), 88)
     print(f"{study.title}: one impact, every number at its mean")
     print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
@@ -634,12 +634,10 @@ def _verify(options: Namespace) -> None:
         return
     from uqsphere.propagation import run
     from uqsphere.report.compare import compare, comparison_text
-    from uqsphere.study import load_study
+    from uqsphere.results.run import stored_study
 
     before = open_run(options.folder)
-    text = (options.folder / "study.toml").read_text(encoding="utf-8")
-    place = options.folder / "files" / "study.toml"
-    after = run(load_study(place, before.results.study.overrides, text=text), options.model)
+    after = run(stored_study(options.folder, before.results), options.model)
     both = [before, after], ["before", "again"]
     rows, others = (
         each.answers.dropna(subset="value").value_counts(["subject", "answer"]) for each in both[0]

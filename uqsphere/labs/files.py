@@ -1,8 +1,9 @@
 """What both labs share: input files, units of keys, tables of the terminal, written files."""
 
-import argparse
 import json
-from collections.abc import Callable, Mapping, Sequence
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,8 @@ def in_unit(dimension: str) -> BeforeValidator:
     return BeforeValidator(lambda text: parse_value(text, dimension))
 
 
+#: a JSON document whose numbers are in SI units
+JsonObject = dict[str, Any]
 Positive = Annotated[float, Field(gt=0.0)]
 PoissonRatio = Annotated[float, Field(ge=0.0, lt=0.5)]
 Length = Annotated[Positive, in_unit("length")]
@@ -63,27 +66,27 @@ def csv_text(content: Any, head: list[str] | None = None) -> str:
     )
 
 
-def chosen_command(
-    argv: Sequence[str],
-    lab: str,
-    text: str | None,
-    commands: Mapping[str, tuple[Callable[[argparse.Namespace], int | None], str]],
-) -> int:
-    """Run one of the commands of a lab, each with its help; `records` takes several files."""
-    parser = argparse.ArgumentParser(prog=f"uqsphere {lab}", description=text)
+def run_command(lab: str, *argv: str) -> int:
+    """Run one of the `COMMANDS` of a lab, each with its help; `records` takes several files.
+
+    Returns the exit code.
+    """
+    home = import_module(f"uqsphere.labs.{lab}.cli")
+    parser = ArgumentParser(prog=f"uqsphere {lab}", description=home.__doc__)
     subparsers = parser.add_subparsers(dest="command", required=True)
-    for name, (function, help_text) in commands.items():
-        command = subparsers.add_parser(name, help=help_text, description=help_text)
+    for name, (function, text) in home.COMMANDS.items():
+        command = subparsers.add_parser(name, help=text, description=text)
         command.set_defaults(function=function)
         number = "+" if name == "records" else None
         command.add_argument("file", type=Path, nargs=number, help="input file (TOML)")
         command.add_argument("--out", type=Path, help="folder for the files")
         command.add_argument("--json", action="store_true", help="print one JSON document")
     chosen = parser.parse_args(argv)
-    return chosen.function(chosen) or 0
+    code: int | None = chosen.function(chosen)
+    return code or 0
 
 
-def finish(chosen: argparse.Namespace, content: Any, text: str, files: Mapping[str, str]) -> None:
+def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str, str]) -> None:
     """Write the files of a command to `--out`, and print its answer without control characters."""
     from uqsphere.results.folder import write_files
 

@@ -57,7 +57,7 @@ class Course(History):
     def _repr_html_(self) -> str:
         """What a person asks of the scene, and its figures."""
         title = "One impact, every number at its mean or as given"
-        table = PageTable(title, ("", "value"), history_rows(self))
+        table = PageTable(title, ("", "value"), [*history_rows(self)])
         pictures = dict(_pictures(self))
         return render("notebook.html", title=self.study.title, tables=[table], pictures=pictures)
 
@@ -106,18 +106,14 @@ def history(
             signals = [rod_record(motion, place, course.time) for place in ahead]
     except ValueError as error:
         raise UsageError(str(error)) from None
-    gauges = tuple(signals)
-    return Course(study=study, values=values or {}, **{**vars(course), "gauges": gauges})
+    measured = vars(course) | {"gauges": tuple(signals)}
+    return Course(study=study, values=values or {}, **measured)
 
 
-def history_rows(course: Course) -> list[tuple[str, str]]:
+def history_rows(course: Course) -> Iterator[tuple[str, str]]:
     """What a person asks of a scene, as (text, value with unit): its quantities, its events, its
     bars.
     """
-    return list(_rows(course))
-
-
-def _rows(course: Course) -> Iterator[tuple[str, str]]:
     study = course.study
     yield "mu, dimensionless sphere mass M/(Z t_c)", f"{course.mass_number:.4g}"
     by_wave = RIGS[study.rig].by_wave

@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,12 +60,13 @@ class Point:
 
 @frozen
 class Sweep:
-    """A sweep: where it is kept, and its points."""
+    """A sweep: where it is kept, its points, and by their names the runs that there are."""
 
     title: str
     folder: Path
     keys: Names
     points: Sequence[Point]
+    runs: dict[str, Run] = field(default_factory=dict)
 
     @property
     def meanings(self) -> list[str]:
@@ -206,19 +208,19 @@ def run_on_cluster(
         future.cancel()
 
 
-def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
+def write_sweep(sweep: Sweep) -> Path:
     """Write table and page of the points that have run; returns the page's place."""
-    frame = sweep_table(sweep, runs)
-    pictures = _pictures(sweep, frame, next(iter(runs.values())).results)
+    frame = sweep_table(sweep)
+    pictures = _pictures(sweep, frame)
     html = render(
         "sweep.html",
         title=f"{sweep.title}: sweep",
         keys=sweep.meanings,
-        done=len(runs),
+        done=len(sweep.runs),
         planned=len(sweep.points),
         pictures=pictures,
-        decisions=_decisions(sweep, runs),
-        points=[point.name for point in sweep.points if point.name in runs],
+        decisions=_decisions(sweep),
+        points=[point.name for point in sweep.points if point.name in sweep.runs],
     )
     files = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
     files |= {TABLE: frame.to_csv(index=False), "report.html": html}
@@ -226,7 +228,7 @@ def write_sweep(sweep: Sweep, runs: Mapping[str, Run]) -> Path:
     return sweep.folder / "report.html"
 
 
-def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
+def sweep_table(sweep: Sweep) -> pd.DataFrame:
     """One row a point and decision, SI units.
 
     Columns: the keys as they were written, aim, use, use_low, use_high (the number to use, and the
@@ -236,7 +238,7 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
     import pandas as pd
 
     rows = []
-    for point, results, decision in _each(sweep, runs):
+    for point, results, decision in _each(sweep):
         use: list[float | None] = [None, None, None]
         if decision.use is not None:
             use = [decision.use.value, decision.use.best.low, decision.use.best.high]
@@ -247,20 +249,20 @@ def sweep_table(sweep: Sweep, runs: Mapping[str, Run]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*sweep.keys, *names.split()])
 
 
-def _each(sweep: Sweep, runs: Mapping[str, Run]) -> Iterator[tuple[Point, Results, Decision]]:
+def _each(sweep: Sweep) -> Iterator[tuple[Point, Results, Decision]]:
     """Every decision of a point that has run."""
     for point in sweep.points:
-        if point.name in runs:
-            results = runs[point.name].results
+        if point.name in sweep.runs:
+            results = sweep.runs[point.name].results
             for decision in results.decisions:
                 yield point, results, decision
 
 
-def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
+def _decisions(sweep: Sweep) -> PageTable:
     """One row a point and decision, as text."""
     rows = []
     event = ""
-    for point, results, decision in _each(sweep, runs):
+    for point, results, decision in _each(sweep):
         event = exceedance_name(results)
         text = DecisionText(results, decision)
         governs = plain_name(decision.governing)
@@ -270,15 +272,16 @@ def _decisions(sweep: Sweep, runs: Mapping[str, Run]) -> PageTable:
     return PageTable("Decisions", head, rows)
 
 
-def sweep_text(sweep: Sweep, runs: Mapping[str, Run], width: int) -> str:
+def sweep_text(sweep: Sweep, width: int) -> str:
     """The table of a sweep for a terminal."""
-    table = _decisions(sweep, runs)
+    table = _decisions(sweep)
     return "\n".join([sweep.title, "", *columns([table.head, *table.rows], width)])
 
 
-def _pictures(sweep: Sweep, frame: pd.DataFrame, first: Results) -> dict[str, Picture]:
+def _pictures(sweep: Sweep, frame: pd.DataFrame) -> dict[str, Picture]:
     """The number to use, and the probability at the plan, over the first key."""
     pictures = {}
+    first = next(iter(sweep.runs.values())).results
     shown = [("sweep-plan", f"{chart_title(first)} at the plan", "probability", "%", 100.0)]
     if first.study.free is not None:
         path = first.study.free.quantity

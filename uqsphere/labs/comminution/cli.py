@@ -1,37 +1,19 @@
 """`uqsphere comminution fit | feed`."""
 
-import argparse
 import json
 import math
-from collections.abc import Sequence
+from argparse import Namespace
 from pathlib import Path
-from typing import Any
 
 from uqsphere.documents import load_document
 from uqsphere.errors import tell
-from uqsphere.labs.files import chosen_command, csv_text, finish, table
+from uqsphere.labs.files import JsonObject, csv_text, finish, table
 from uqsphere.uq import LEVEL_TEXT
 
 from .document import ComminutionDocument
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run a command of the lab."""
-    commands = {
-        "fit": (
-            _run,
-            "fracture energy from tests of single particles; writes draws.csv, a strength "
-            "(default folder: FILE-fit)",
-        ),
-        "feed": (
-            _run,
-            "shares broken, product and energy of a feed under blows (default folder: FILE-feed)",
-        ),
-    }
-    return chosen_command(argv, "comminution", __doc__, commands)
-
-
-def _run(chosen: argparse.Namespace) -> None:
+def _run(chosen: Namespace) -> None:
     from .feed import answer_feed
     from .fit import fit
     from .tests import load_tests
@@ -78,7 +60,21 @@ def _run(chosen: argparse.Namespace) -> None:
     finish(chosen, content, text, files)
 
 
-def _json(content: Any) -> str:
+#: what each command runs, and its help
+COMMANDS = {
+    "fit": (
+        _run,
+        "fracture energy from tests of single particles; writes draws.csv, a strength "
+        "(default folder: FILE-fit)",
+    ),
+    "feed": (
+        _run,
+        "shares broken, product and energy of a feed under blows (default folder: FILE-feed)",
+    ),
+}
+
+
+def _json(content: JsonObject) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
@@ -87,7 +83,7 @@ def _interval(estimate: dict[str, float], factor: float = 1.0, unit: str = "") -
     return f"{factor * estimate['value']:.4g} {unit}".rstrip(), ends
 
 
-def _fit_text(content: dict[str, Any]) -> str:
+def _fit_text(content: JsonObject) -> str:
     tests = content["tests"]
     head = f"{content['title'] or 'tests'}: {tests['particles']} particles, {tests['broke']} broke"
     head_of_sizes = ["size", "tests", "E50 of the law", LEVEL_TEXT]
@@ -115,7 +111,7 @@ def _fit_text(content: dict[str, Any]) -> str:
     return "\n\n".join([head, table(sizes), table(laws), table(names), use])
 
 
-def _feed_text(content: dict[str, Any]) -> str:
+def _feed_text(content: JsonObject) -> str:
     shown = {
         "energy [J/kg]": ("energy absorbed by the particles", 1.0 / 3600.0, "kWh/t"),
         "P80 [m]": ("P80", 1e3, "mm"),

@@ -8,12 +8,13 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array, Values, special
 from uqsphere.errors import UsageError
+from uqsphere.labs.files import JsonObject
 from uqsphere.tables import read_table
 
 from . import laws
@@ -149,7 +150,7 @@ def broken_by_blow(posterior: Posterior, energy: Array, sizes: Array, blows: int
     return np.stack([posterior.broken(energy * step, sizes) for step in steps], axis=2)
 
 
-def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> dict[str, Any]:
+def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) -> JsonObject:
     """Broken shares, product and energy of the feed of an input file over the draws, as plain JSON.
 
     Raises UsageError for a missing or impossible [feed].
@@ -192,7 +193,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     spread = None
     if product:
         fineness = laws.t10(offered, product.A, product.b)
-        alpha: Any = product.alpha
+        alpha: Values = product.alpha
         if isinstance(alpha, Lognormal):
             alpha = rng.lognormal(alpha.log_mean, alpha.log_sd, (len(chosen), 1, 1))
         # share of the fragments of a class that passes a sieve, (D or 1, S, K)

@@ -9,13 +9,13 @@ round before (O. Cappé, A. Guillin, J.-M. Marin, C. P. Robert, J. Comput. Graph
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from uqsphere.arrays import Array, Places, Values, quiet, special
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import csv_text
+from uqsphere.labs.files import JsonObject, csv_text
 from uqsphere.uq import ENDS
 
 from . import laws
@@ -164,7 +164,7 @@ class Fit(NamedTuple):
     """The posterior and its description, plain JSON."""
 
     posterior: Posterior
-    content: dict[str, Any]
+    content: JsonObject
 
 
 # --- likelihood -----------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ def model_of(law: str, asked: ComminutionDocument, tests: Specimens) -> EnergyMo
 
 def sample(
     model: EnergyModel, tests: Specimens, rng: np.random.Generator, draws: int
-) -> tuple[Array, dict[str, Any]]:
+) -> tuple[Array, JsonObject]:
     """Draws (n, d) of the posterior, and how well the law fits and the draws converged."""
     from scipy.optimize import minimize
 
@@ -378,10 +378,10 @@ def quantiles(values: Array) -> dict[str, float]:
 
 def _described(
     posterior: Posterior,
-    about: dict[str, dict[str, Any]],
+    about: dict[str, JsonObject],
     tests: Specimens,
     asked: ComminutionDocument,
-) -> dict[str, Any]:
+) -> JsonObject:
     """A fit as plain JSON."""
     want = asked.tests
     warnings = [*tests.notes]

@@ -1,29 +1,19 @@
 """`uqsphere shpb records | fit-contact | plan`."""
 
-import argparse
-from collections.abc import Sequence
+from argparse import Namespace
 from dataclasses import asdict
 
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text, tell
-from uqsphere.labs.files import chosen_command, csv_text, finish, table
+from uqsphere.labs.files import JsonObject, csv_text, finish, table
 
 from .document import RecordDocument
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run a command of the lab; exit code 2 if no record can be read."""
-    contact = "contact law of a sphere that yields, from a slow load-unload record"
-    commands = {
-        "records": (_records, "forces at the faces of a specimen from gauge records"),
-        "fit-contact": (_fit_contact, contact),
-        "plan": (_plan, "speed, height or force at which a share of the spheres breaks"),
-    }
-    return chosen_command(argv, "shpb", __doc__, commands)
-
-
-def _records(chosen: argparse.Namespace) -> int:
-    """Every input file: its sheet; of several also tests.csv, one line a test."""
+def _records(chosen: Namespace) -> int:
+    """Every input file: its sheet; of several also tests.csv, one line a test; exit code 2 if no
+    record can be read.
+    """
     from . import sheet
     from .mending import load_record
     from .waves import read_test
@@ -32,7 +22,7 @@ def _records(chosen: argparse.Namespace) -> int:
     lines = []
     texts = []
     files = dict[str, str]()
-    contents: list[dict[str, object]] = []
+    contents = list[JsonObject]()
     for path in chosen.file:
         asked = load_document(path, RecordDocument)
         try:
@@ -67,7 +57,7 @@ def _records(chosen: argparse.Namespace) -> int:
     return 2 if all("refused" in content for content in contents) else 0
 
 
-def _fit_contact(chosen: argparse.Namespace) -> None:
+def _fit_contact(chosen: Namespace) -> None:
     from .contact import ContactDocument, fit_contact
 
     fit = fit_contact(load_document(chosen.file, ContactDocument), chosen.file.parent)
@@ -78,8 +68,19 @@ def _fit_contact(chosen: argparse.Namespace) -> None:
     finish(chosen, {**asdict(fit), "toml": lines}, text, {"contact.toml": lines})
 
 
-def _plan(chosen: argparse.Namespace) -> None:
+def _plan(chosen: Namespace) -> None:
     from .plan import PlanDocument, plan_csv, plan_test, plan_text
 
     plan = plan_test(load_document(chosen.file, PlanDocument), chosen.file.parent)
     finish(chosen, plan, plan_text(plan), {"plan.csv": plan_csv(plan)})
+
+
+#: what each command runs, and its help
+COMMANDS = {
+    "records": (_records, "forces at the faces of a specimen from gauge records"),
+    "fit-contact": (
+        _fit_contact,
+        "contact law of a sphere that yields, from a slow load-unload record",
+    ),
+    "plan": (_plan, "speed, height or force at which a share of the spheres breaks"),
+}

@@ -7,13 +7,13 @@ share of 0.01 % comes from the distribution of the strength, not from counted sa
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
 
 from uqsphere.errors import UsageError
-from uqsphere.labs.files import Section, csv_text, in_unit, table
+from uqsphere.labs.files import JsonObject, Section, csv_text, in_unit, table
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.units import UnitError, parse_value
 
@@ -54,7 +54,7 @@ class PlanDocument(Section):
     points: int = Field(default=25, ge=2, le=200)
 
 
-def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
+def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
     """Shares broken over the free number of a study, as plain JSON in SI.
 
     values (m,); force (m, 3): 5, 50 and 95 % of the largest force [N]; shares: by limit (m, 3)
@@ -90,7 +90,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
     shares = {}
-    reached = dict[str, list[dict[str, Any]]]()
+    reached = dict[str, list[JsonObject]]()
     for name, curve in curves.limits.items():
         shares[name] = np.array(curve.curve)[:, 1:4].tolist()
         reached[name] = []
@@ -118,7 +118,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> dict[str, Any]:
     }
 
 
-def plan_text(plan: dict[str, Any]) -> str:
+def plan_text(plan: JsonObject) -> str:
     """Tables for the terminal."""
     free = plan["free"]
     unit, factor = display_unit(free)
@@ -147,7 +147,7 @@ def plan_text(plan: dict[str, Any]) -> str:
     )
 
 
-def plan_csv(plan: dict[str, Any]) -> str:
+def plan_csv(plan: JsonObject) -> str:
     """One row a value."""
     head = [f"{plan['free']} [{plan['unit']}]"]
     head += [f"P_max {percent} % [N]" for percent in (5, 50, 95)]

@@ -190,11 +190,15 @@ class Trace(NamedTuple):
 
 class Column(NamedTuple):
     """A column of a file as numbers (n,), NaN for a cell that is not a number; the table has the
-    faults of this column."""
+    faults of this column.
+
+    time_unit : of a time, where the heading does not give it.
+    """
 
     table: Table
     heading: str
     values: Array
+    time_unit: str
 
     @property
     def name(self) -> str:
@@ -229,9 +233,15 @@ class Column(NamedTuple):
             self.table.check()
         return self.values
 
-    def in_seconds(self, unit: str) -> Array:
-        """The numbers as a time [s] in a unit that is given, that of the heading, or seconds."""
-        return self.checked() * UNITS["time"].get(self.unit(unit)[1] or "s", math.nan)
+    def in_seconds(self) -> Array:
+        """The numbers as a time [s] in the unit that is given, that of the heading, or seconds."""
+        unit = self.unit(self.time_unit)[1] or "s"
+        return self.checked() * UNITS["time"].get(unit, math.nan)
+
+    def is_clock(self, time: Array) -> bool:
+        """Whether it begins as a time (n,) within half a step."""
+        apart = np.abs(self.in_seconds()[: len(time)] - time)
+        return bool(np.nanmax(apart, initial=0.0) <= 0.5 * _step(time))
 
 
 class Recorded(NamedTuple):
@@ -259,10 +269,10 @@ def read_traces(
         for heading in table.headings:
             table.faults = {}
             values = table.numbers(heading, blank=True)
-            columns.append(Column(replace(table), heading, values))
+            columns.append(Column(replace(table), heading, values, asked.time_unit))
         files.append(Recorded(table, columns, above))
     time, place = _clock(asked, files, changes)
-    time = _common(time, place, files, asked.time_unit, changes)
+    time = _common(time, place, files, changes)
     traces = []
     for role, gauges in _by_role(asked, files, place, time).items():
         bar = document.incident_bar
@@ -295,7 +305,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
         return interval * np.arange(len(table), dtype=float), -1
     place = table.place(asked.time or 1)
     column = columns[place]
-    dimension, unit = column.unit(asked.time_unit)
+    dimension, unit = column.unit(column.time_unit)
 
     def other_column() -> UsageError:
         hint = 'no column does. Without a time column set record.sample_interval = "0.8 us"'
@@ -316,7 +326,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
     if unit:
         text = f"is in {unit}"
     changes.add("read", text, signal=column.name)
-    time = column.in_seconds(asked.time_unit)
+    time = column.in_seconds()
     good = time[np.isfinite(time)]
     if len(good) < _FEWEST:
         raise UsageError(
@@ -350,7 +360,7 @@ def _interval(text: str) -> float:
     return 0.0
 
 
-def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: Changes) -> Array:
+def _common(time: Array, place: int, files: list[Recorded], changes: Changes) -> Array:
     """The time that all files have; UsageError for files that do not have the same clock."""
     count = len(time)
     for table, columns, _ in files[1:]:
@@ -359,7 +369,7 @@ def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: 
             raise UsageError(
                 f"{table.name}: has no column {place + 1}, the time column of the first file"
             )
-        if place >= 0 and not _is_clock(columns[place], time[:count], unit):
+        if place >= 0 and not columns[place].is_clock(time[:count]):
             raise UsageError(
                 f"{table.name}: its clock differs from that of {files[0].table.name}. Write both "
                 "channels with one clock"
@@ -369,12 +379,6 @@ def _common(time: Array, place: int, files: list[Recorded], unit: str, changes: 
                 "read", "files of different length: the longer one is cut", signal=table.name
             )
     return time[:count]
-
-
-def _is_clock(column: Column, time: Array, unit: str) -> bool:
-    """Whether a column begins as a time (n,) within half a step."""
-    apart = np.abs(column.in_seconds(unit)[: len(time)] - time)
-    return bool(np.nanmax(apart, initial=0.0) <= 0.5 * _step(time))
 
 
 def _step(time: Array) -> float:
@@ -410,7 +414,7 @@ def _by_role(
         column
         for file in files
         for place, column in enumerate(file.columns)
-        if place != clock and not _repeats(column, time, asked.time_unit)
+        if place != clock and not _repeats(column, time)
     ]
     usable = [column for column in signals if not column.table.faults]
     if len(usable) not in (2, 4) or asked.reflected:
@@ -423,12 +427,12 @@ def _by_role(
     return {"incident": usable[:each], "receiving": usable[each:]}
 
 
-def _repeats(column: Column, time: Array, unit: str) -> bool:
+def _repeats(column: Column, time: Array) -> bool:
     """Whether a column repeats the time; UsageError for the time of another clock."""
-    dimension = column.unit(unit)[0]
+    dimension = column.unit(column.time_unit)[0]
     if not column.rises or dimension not in ("time", ""):
         return False
-    alike = _is_clock(column, time, unit)
+    alike = column.is_clock(time)
     if dimension == "time" and not alike:
         raise UsageError(
             f"{column.table.name}: column {column.name!r} is a second clock that differs from the "

@@ -3,11 +3,11 @@
 import math
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uqsphere.labs.files import csv_text
+from uqsphere.labs.files import JsonObject, csv_text
 from uqsphere.uq import LEVEL_TEXT
 
 from .document import RecordDocument
@@ -53,7 +53,7 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
     return lines
 
 
-def document(test: Reading) -> dict[str, Any]:
+def document(test: Reading) -> JsonObject:
     """A test as plain JSON, SI."""
     forces = {
         face: {**peak._asdict(), "sound": not peak.doubts} for face, peak in test.peaks.items()
