@@ -82,8 +82,7 @@ def run_command(lab: str, *argv: str) -> int:
         command.add_argument("--out", type=Path, help="folder for the files")
         command.add_argument("--json", action="store_true", help="print one JSON document")
     chosen = parser.parse_args(argv)
-    code: int | None = chosen.function(chosen)
-    return code or 0
+    return chosen.function(chosen) or 0
 
 
 def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str, str]) -> None:

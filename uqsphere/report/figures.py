@@ -16,12 +16,8 @@ from uqsphere.uq import LEVEL_TEXT
 from .format import probability, small, title_of, with_unit
 from .fragility import curves_of, draw_fragility, planned_value
 from .pictures import (
-    BLUE,
-    GREEN,
     INK,
     LETTER,
-    PURPLE,
-    RED,
     Indices,
     convergence_of,
     draw_convergence,
@@ -38,8 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: colours of lines that share a figure
-COLOURS = (BLUE, RED, GREEN, PURPLE, INK)
 #: quantities on the first screen, and those with pictures
 FIRST, MOST_PICTURES = 2, 6
 STYLE: dict[str, Any] = {
@@ -162,8 +156,9 @@ def _fragility(results: Results) -> dict[str, Picture]:
     title = chart_title(results)
     texts = [f"{title} over the {free.meaning}"]
     if planned_value(free) is not None:
-        for curve in curves:
-            texts.append(f"{curve.name} at the planned value: {probability(curve.at_plan)}")
+        texts += [
+            f"{curve.name} at the planned value: {probability(curve.at_plan)}" for curve in curves
+        ]
     texts += [small(decision.use) for decision in decision_texts(results)]
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)

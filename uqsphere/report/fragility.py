@@ -43,17 +43,19 @@ TICKS = (1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
 LOWEST, HIGHEST = 3e-5, 1.0 - 3e-5
 #: height of a line of text [points], and curves that one chart has room for
 LINE, MOST_CURVES = 14.0, 9
-#: dashes and widths of limits, of assumed strengths, and of all failure modes together
-LIMIT: tuple[Any, float] = ("-", 2.2)
-ASSUMED: tuple[Any, float] = ((0, (5, 2)), 1.4)
-JOINT: tuple[Any, float] = ("-.", 2.0)
+#: dashes and width of a line
+Style = tuple[Any, float]
+#: of limits, of assumed strengths, and of all failure modes together
+LIMIT: Style = ("-", 2.2)
+ASSUMED: Style = ((0, (5, 2)), 1.4)
+JOINT: Style = ("-.", 2.0)
 
 
 class Curve(NamedTuple):
     """Probability of exceedance over the free number, of a limit or of failure modes together.
 
     x : values of the free number (n,) [SI]; p : probabilities (n,)
-    style : dashes and width of its line
+    style : of its line
     at_plan : the probability at the planned value
     """
 
@@ -61,7 +63,7 @@ class Curve(NamedTuple):
     x: Array
     p: Array
     colour: str
-    style: tuple[Any, float]
+    style: Style
     at_plan: Estimated
 
 

@@ -33,10 +33,10 @@ from uqsphere.results.folder import write_files
 from uqsphere.results.types import PaperRow
 from uqsphere.study import Study
 
-from .figures import COLOURS, Picture, svg
+from .figures import Picture, svg
 from .format import capital
 from .page import render
-from .pictures import GREY
+from .pictures import COLOURS, GREY
 from .tables import PageTable, paper_rows
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def write_history(course: Course, folder: Path) -> list[str]:
     """Write history.csv, gauges.csv and the figures; returns the names of the files."""
     import pandas as pd
 
-    files: dict[str, str | bytes] = {"history.csv": course.to_frame().to_csv(index=False)}
+    files = {"history.csv": course.to_frame().to_csv(index=False)}
     if course.gauges:
         parts = [
             pd.DataFrame({"gauge": record.name, "time [s]": record.time, "strain": record.strain})

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 BLUE, GREEN, PURPLE, RED = "#0072b2", "#007a58", "#aa4499", "#b84a00"
 BROWN, INDIGO = "#7a5500", "#4b5fc1"
 GREY, INK, FAINT = "#656b75", "#1b1f24", "#e6e8eb"
+#: of lines that share a figure
+COLOURS = (BLUE, RED, GREEN, PURPLE, INK)
 #: width of a letter at the font size of a picture [points]
 LETTER = 6.4
 #: a line from a text to what it is on
@@ -38,12 +40,8 @@ def write(
     **style: Any,
 ) -> None:
     """A text at an offset [points] from a place; it may stand outside the frame."""
-    defaults: dict[str, Any] = {
-        "va": "center",
-        "annotation_clip": False,
-        "textcoords": "offset points",
-    }
-    axes.annotate(text, place, offset, coordinates, **(defaults | style))
+    style = {"textcoords": "offset points"} | style
+    axes.annotate(text, place, offset, coordinates, va="center", annotation_clip=False, **style)
 
 
 def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:

@@ -25,9 +25,10 @@ from uqsphere.results.folder import locked, sums_of, write_files
 from uqsphere.results.types import Decision, Results
 from uqsphere.study import Study
 
-from .figures import COLOURS, Picture, svg
+from .figures import Picture, svg
 from .format import capital, plain_name, with_unit
 from .page import render
+from .pictures import COLOURS
 from .sentences import DecisionText, chart_title, exceedance_name, joint_event
 from .tables import PageTable, columns
 

@@ -57,11 +57,12 @@ class Classes(NamedTuple):
 
 def load_classes(asked: SizesTable, folder: Path) -> Classes:
     """The classes of a feed; UsageError for a sieve table without more than 5 % of the mass."""
-    notes: list[str] = []
-    passing: Callable[[Array], Array] = partial(_law, asked)
-    top = asked.top
+    notes = list[str]()
     if asked.law == "table":
         passing, top = _sieves(asked, folder, notes)
+    else:
+        passing = partial(_law, asked)
+        top = asked.top
     edges = top * asked.ratio ** -np.arange(asked.classes + 1, dtype=float)
     share = np.clip(passing(edges), 0.0, None)
     cut = 1.0 - share[0]

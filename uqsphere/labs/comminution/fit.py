@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, quiet, special
+from uqsphere.arrays import Array, Duo, Places, Values, quiet, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import JsonObject, csv_text
 from uqsphere.uq import ENDS
@@ -56,7 +56,7 @@ class EnergyModel(NamedTuple):
     law: str
     size: str
     ratio: float
-    priors: dict[str, tuple[float, float]]
+    priors: dict[str, Duo]
     classes: tuple[float, ...] = ()
     gamma: float | None = None
 
@@ -84,7 +84,7 @@ class Posterior(NamedTuple):
     models: list[EnergyModel]
     law: Places
     parameters: dict[str, Array]
-    tested: tuple[float, float]
+    tested: Duo
     tests: int
 
     def at(self, rows: Places) -> "Posterior":

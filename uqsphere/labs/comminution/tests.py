@@ -18,10 +18,9 @@ from .energies import particle_energies
 #: rigs that record the energy at failure, and those that record the energy offered
 _AT_FAILURE = ("platens", "load_cell", "bars")
 _RIGS = (*_AT_FAILURE, "drop_weight", "impact", "drop")
-_BROKE = {
-    **dict.fromkeys(("broke", "broken", "1", "yes", "true"), True),
-    **dict.fromkeys(("survived", "0", "no", "false", "stopped"), False),
-}
+_BROKE = dict.fromkeys(("broke", "broken", "1", "yes", "true"), True) | dict.fromkeys(
+    ("survived", "0", "no", "false", "stopped"), False
+)
 #: relative difference within which two sizes in order are the same
 _SAME = 0.005
 _MOST_BLOWS = 10_000

@@ -59,7 +59,7 @@ class ContactDocument(Section):
     force: str | int = 2
     displacement_unit: str = ""
     force_unit: str = ""
-    machine_stiffness: Stiffness | None = None
+    machine_stiffness: Stiffness = math.inf
     platens: str = "rigid"
     nu: PoissonRatio = 0.25
     pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
@@ -145,8 +145,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
     if asked.compression == "negative":
         displacement = -displacement
         force = -force
-    if asked.machine_stiffness:
-        displacement = displacement - force / asked.machine_stiffness
+    displacement = displacement - force / asked.machine_stiffness
     top = np.argmax(force)
     if not force[top] > 0.0:
         raise UsageError(

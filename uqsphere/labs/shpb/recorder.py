@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere import tables
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Flags, Pair
 from uqsphere.errors import UsageError
 from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_comment
 from uqsphere.units import UNITS
@@ -528,7 +528,7 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
     return grid[0], even
 
 
-def _distinct(time: Array, raw: Array, changes: Changes) -> tuple[Array, Array]:
+def _distinct(time: Array, raw: Array, changes: Changes) -> Pair:
     """Time that rises at every sample: rows that are there twice go, coarse times are spread."""
     steps = np.diff(time)
     same = steps == 0.0
