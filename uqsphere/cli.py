@@ -352,23 +352,19 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
-@contextlib.contextmanager
-def _cluster(options: Namespace) -> Iterator[Any]:
-    """A client of the Dask cluster of a command; None without one."""
+def _cluster(options: Namespace) -> Any:
+    """A context with the client of the Dask cluster of a command; with None without one."""
     if options.dask is None:
-        yield None
-        return
+        return contextlib.nullcontext()
     try:
         client_of = import_module("distributed").Client
     except ImportError:
         raise UsageError('--dask needs Dask: pip install "uqsphere[dask]"') from None
     key = "scheduler_file" if Path(options.dask).is_file() else "address"
     try:
-        client = client_of(**{key: options.dask}, timeout="20s")
+        return client_of(**{key: options.dask}, timeout="20s")
     except (OSError, ValueError) as error:
         raise UsageError(f"--dask: no scheduler at {options.dask} ({error})") from None
-    with client:
-        yield client
 
 
 # --- commands -------------------------------------------------------------------------------------

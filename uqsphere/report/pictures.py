@@ -116,7 +116,13 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
         above = x >= onset
         shares = [check.share for check in results.checks if check.name == "dented"]
         share = (*shares, np.trapezoid(y[above], x[above]))[0]
-        low, high, effect = _mark_onset(axes, onset, low, high)
+        span = high - low
+        effect = " (off the scale)"
+        if low - span < onset < high + span:
+            effect = ""
+            axes.axvline(onset, ymax=0.76, color=RED, linewidth=1.2, linestyle="--")
+            low = min(low, onset - 0.05 * span)
+            high = max(high, onset + 0.05 * span)
         words = (
             f"softer body yields from {onset:.3g} {unit}",
             f"in {format_probability(share)} of impacts{effect}",
@@ -143,17 +149,6 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
         write(axes, "", (end, 0.0), (place, -5.0), textcoords=beside, arrowprops=leader)
         write(axes, text, (place, 0.0), (0.0, -12.0), ha="center", fontweight="bold")
         write(axes, name, (place, 0.0), (0.0, -26.0), ha="center", color=GREY)
-
-
-def _mark_onset(axes: Axes, place: float, low: float, high: float) -> tuple[float, float, str]:
-    """Mark where a contact starts to yield, below its text; the frame's ends, and what is to be
-    said of a place off the scale.
-    """
-    span = high - low
-    if not low - span < place < high + span:
-        return low, high, " (off the scale)"
-    axes.axvline(place, ymax=0.76, color=RED, linewidth=1.2, linestyle="--")
-    return min(low, place - 0.05 * span), max(high, place + 0.05 * span), ""
 
 
 # --- indices --------------------------------------------------------------------------------------

@@ -56,7 +56,20 @@ class Point:
 
     values: Mapping[str, str]
     study: Study
-    name: str
+
+    @property
+    def name(self) -> str:
+        """The name of its folder.
+
+        >>> values = {"target.thickness": "10 mm", "rig.angle": "60 deg"}
+        >>> Point(values=values, study=None).name
+        'thickness-10-mm_angle-60-deg'
+        """
+        parts = []
+        for key, text in self.values.items():
+            last = path_of(key).rpartition(".")[2]
+            parts.append(re.sub(r"[^\w.+-]+", "-", f"{last} {text}").strip("-"))
+        return "_".join(parts)
 
 
 @frozen
@@ -91,10 +104,10 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
     for texts in itertools.product(*grid.values()):
         values = dict(zip(grid, texts, strict=True))
         study = load([f"{key}={text}" for key, text in values.items()])
-        name = _name(values)
-        if name in points:
-            raise UsageError(f"--over: two points have the same folder name, {name}")
-        points[name] = Point(values=values, study=study, name=name)
+        point = Point(values=values, study=study)
+        if point.name in points:
+            raise UsageError(f"--over: two points have the same folder name, {point.name}")
+        points[point.name] = point
     if (folder / "results.json").exists():
         raise FolderError(f"{folder} holds a run; choose another directory with --out")
     return Sweep(title=study.title, folder=folder, keys=tuple(grid), points=[*points.values()])
@@ -116,19 +129,6 @@ def _grid(over: Sequence[str]) -> dict[str, list[str]]:
     if len(grid) > MOST_KEYS:
         raise UsageError(f"--over takes at most {MOST_KEYS} keys, not {len(grid)}")
     return grid
-
-
-def _name(values: Mapping[str, str]) -> str:
-    """The name of a point's folder.
-
-    >>> _name({"target.thickness": "10 mm", "rig.angle": "60 deg"})
-    'thickness-10-mm_angle-60-deg'
-    """
-    parts = []
-    for key, text in values.items():
-        last = path_of(key).rpartition(".")[2]
-        parts.append(re.sub(r"[^\w.+-]+", "-", f"{last} {text}").strip("-"))
-    return "_".join(parts)
 
 
 def finished_run(sweep: Sweep, point: Point) -> Run | None:

@@ -1,7 +1,6 @@
 """The laboratory sheet of a test: one HTML page, and the forces and the pulse as CSV."""
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,7 +105,7 @@ def written(test: Reading, asked: RecordDocument) -> dict[str, str]:
         test=test,
         asked=asked,
         rows=rows(test),
-        figure=svg(partial(_draw_forces, test=test)),
+        figure=svg(_draw_forces, test),
         bars=bars,
         level=LEVEL_TEXT,
         doubted=any(peak.doubts for peak in test.peaks.values()),
