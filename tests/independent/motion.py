@@ -271,7 +271,8 @@ def march(
     budget: int = 20_000,
     rtol: float = 1e-11,
 ) -> Motion:
-    """Integrate one scene.
+    """Integrate one scene.  Between bars mu = 0 is the massless sphere: one force at both faces,
+    and the approach of each grows by half of what the bars' ends close.
 
     pulse : incoming wave at A, of the time and of a time inside of the step; jumps : where steps
         end.
@@ -308,6 +309,9 @@ def march(
             raise Unaffordable(f"more than {budget} steps")
         q, r = (law.force(y[k]) if law else 0.0 for k, law in enumerate(laws))
         ahead, behind = pulse(t, middle) + back(0, t), back(1, t)
+        if mu == 0.0:
+            closes = ahead - behind - q
+            return (closes, closes, 0.0, 0.0, 0.0, q * q, q * q, q, q, 2.0 * q * (ahead - behind))
         return (
             y[3] + 2.0 * ahead - a.gives * q - y[2] if a.law else 0.0,
             y[2] - b.gives * r - 2.0 * behind - y[4] if b.law else 0.0,
@@ -369,6 +373,8 @@ def march(
                     if len(seen) and abs(seen[-1] - time) <= 1e-13 * (1 + time)
                 ]
             faded = way.status == 1 and not met
+            if mu == 0.0:  # of two events at one time SciPy tells the first
+                met = [(k, what) for k in (0, 1) for _, what in met[:1]]
             times = np.unique(
                 np.concatenate([np.linspace(t, u, LOOKS) for t, u in pairwise(way.t)])
             )
@@ -389,7 +395,7 @@ def march(
                         times, y, met, faded = (
                             np.append(times[times < time], time),
                             way.sol(time),
-                            [(k, "lost")],
+                            [(k, "lost")] if mu > 0.0 else [(0, "lost"), (1, "lost")],
                             False,
                         )
             motion.pieces.append(
@@ -520,11 +526,13 @@ def refer(
     until: float = math.inf,
     budget: int = 20_000,
     rtol: float = 1e-11,
+    massless: bool = False,
 ) -> Reference:
     """Answers of one row of a scene of two bars, by the formulas of the theory.
 
     until : end of a record [s] that goes on behind the first loss of contact; without it the record
         ends at the first loss.
+    massless : whether mu = 0.
 
     Raises ValueError for a row outside the domain, Unaffordable for one that takes more than
         `budget` steps.
@@ -585,7 +593,7 @@ def refer(
         min(record, 1e9),
     )
     motion = march(
-        float(mass / (impedance * second)),
+        0.0 if massless else float(mass / (impedance * second)),
         0.0,
         (poles[0], poles[1]),
         pulse=pulse,

@@ -501,11 +501,9 @@ def _move_on(s, j, ending):
     elif lane.why == End.BRANCH:
         lane.by_law = 1
         s.error[j] = min(s.error[j], s.closer * s.local)
-        s.x[0, side] = switch(s, side, s.x[0, side])
-        if s.mode == MASSLESS:
-            other = LANES + 2 * j - side
-            switch(s, other, s.x[0, side])
-            s.x[0, other] = s.x[0, side]
+        for m in range(j, PAIR, LANES):
+            if m == side or s.mode == MASSLESS:
+                s.x[0, m] = switch(s, m, s.x[0, m])
     if s.rigged:
         for m in range(j, PAIR, LANES):
             s.free[0, m] = events.value_of(s.free, m, ending)
