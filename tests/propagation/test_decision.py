@@ -183,6 +183,25 @@ def test_more_tests_promise_no_less_and_cut_modes_anew(
     assert 0.0 < few < more < many
 
 
+def test_tests_that_were_stopped_are_tests_of_today(tmp_path: Path) -> None:
+    """9 that broke and 16 that were stopped are 25: what 25 tests buy is not asked."""
+    values = np.sort(np.random.default_rng(1).weibull(8.0, 25))
+    rows = [f"{values[min(k, 8)]:.6g},{int(k > 8)}" for k in range(25)]
+    (tmp_path / "tests.csv").write_text("\n".join(["s,stopped", *rows]), encoding="utf-8")
+    text = """
+        inputs.load = 1.0
+        outputs.names = ["y", "z"]
+        limits.a.quantity = "y"
+        limits.a.target = 0.05
+        limits.a.strength = { file = "tests.csv", column = "s", censored = "stopped", FIT }
+        margins = { solve = "load", between = [0.05, 20.0] }
+        """
+    study = load_study(tmp_path / "study.toml", text=text.replace("FIT", 'fit = "weibull"'))
+    (decision,) = uqsphere.run(study, doubled).results.decisions
+    assert {row.tests for row in decision.doubts if row.code == "tests"} == {25}
+    assert [gain.tests for gain in decision.next.gains] == [50, 100, 200]
+
+
 def test_a_limit_over_its_target_everywhere_leaves_no_number_and_is_named() -> None:
     weak = {"dist": "lognormal", "log_mean": -9.0, "log_sd": 0.2}
     (decision,) = decided({"a": limit("survive", 0.02), "b": limit("survive", 0.02, weak)})

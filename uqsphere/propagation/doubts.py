@@ -125,12 +125,14 @@ class Doubt(Alternative):
 
 
 def tests_behind(limit: Limit) -> tuple[float, ...]:
-    """The forces of the crushing tests behind a limit, or the observations; empty without."""
+    """The forces of the crushing tests behind a limit, or the observations, both with those that
+    were stopped before failure; empty without.
+    """
     if limit.tested is not None and limit.tested.forces:
         return limit.tested.forces
     law = limit.resistance
     if is_fitted(law):
-        return law.data
+        return law.data + law.censored
     return ()
 
 
