@@ -347,6 +347,11 @@ REASONS: dict[str, tuple[str, str, str]] = {
         "scale and shape must be above 0",
         BOX.replace(NORMAL, 'a = { draws = "kinds.csv" }'),
     ),
+    "draws with a law of size": (
+        f'{BOX}[limits.a]\nquantity = "y"\nstrength = {{ draws = "sized.csv" }}\n',
+        "a black box has no sphere. Remove the column size_exponent",
+        f'{BOX}[limits.a]\nquantity = "y"\nstrength = {{ draws = "draws.csv" }}\n',
+    ),
     "a force of nothing": (
         from_tests('force = "zero", diameter = "diameter"'),
         "the force must be above 0",
@@ -380,6 +385,7 @@ FILES = {
     "flat.csv": "t [s],e [1]\n0,0\n1e-6,0\n2e-6,0\n3e-6,0\n",
     "draws.csv": "distribution,scale,shape\nweibull,-1,2\n",
     "kinds.csv": "distribution,scale,shape\nnormal,1,2\n",
+    "sized.csv": "distribution,scale,shape,diameter_mm,size_exponent\nweibull,1,8,20,1.5\n",
 }
 
 

@@ -213,7 +213,15 @@ def _strength(draft: Draft, table: LimitTable, limit: Limit) -> Number:
     Fault.
     """
     if draft.box:
-        return number_of(table.strength, plain_quantity(limit.quantity), draft)
+        number = number_of(table.strength, plain_quantity(limit.quantity), draft)
+        if number.tested and number.tested.exponent:
+            raise Fault(
+                "the draws have a size_exponent, by which their strength follows the diameter of a "
+                "sphere, and a black box has no sphere. Remove the column size_exponent: they then "
+                f"hold for the output {limit.quantity} as they are",
+                "draws",
+            )
+        return number
     entry = lookup(limit.quantity)
     usual = _USUAL.get(entry.dimension, (0.0, math.inf))
     if entry.place == "contact":
