@@ -473,6 +473,14 @@ def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> Non
     assert failed.share == pytest.approx(stats.norm.sf(1.9), abs=0.01)
 
 
+def test_a_slow_model_of_which_hardly_a_run_answers_is_refused() -> None:
+    few = {"cost": "10 s", "budget": {"time": "1 h", "evaluations": 16}, "on_failure": "99 %"}
+    with pytest.raises(TooManyFailures, match="1 of the model runs answered; at least 4"):
+        uqsphere.run(
+            study(analysis=few), lambda x: {"y": np.where(x["b"] > 1.6, linear(x)["y"], np.nan)}
+        )
+
+
 def test_a_slow_model_that_fails_along_the_free_number_has_no_margin() -> None:
     # expansions were fitted to no rows at all, and the run ended with a traceback
     few = {"cost": "10 s", "budget": {"time": "1 h", "evaluations": 64}, "on_failure": "bound"}

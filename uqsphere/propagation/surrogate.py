@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, special
-from uqsphere.errors import UsageError
+from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
@@ -253,7 +253,13 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     if responses and all(response.usable for response in responses.values()):
         predicted, sample = _with_predictions(design, design.points(POINTS), responses)
     else:
-        count = max(k for k in (8, 4, 2) if rows.count >= 2 * k)
+        counts = [k for k in (8, 4, 2) if rows.count >= 2 * k]
+        if not counts:
+            raise TooManyFailures(
+                f"{rows.count} of the model runs answered; at least 4 are needed. Raise "
+                "analysis.budget"
+            )
+        count = counts[0]
         sample = rows.head(rows.count // count * count).in_blocks(count)
     return Slow(
         design=design,
