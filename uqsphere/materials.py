@@ -73,19 +73,21 @@ def library() -> dict[str, Material]:
     >>> library()["granite"].properties["nu"].value
     0.25
     """
-    materials = {}
-    for kind, tables in packaged("materials.toml").items():
-        for name, table in tables.items():
-            materials[name] = _material(kind, table)
-    return materials
+    return {
+        name: _material(kind, table)
+        for kind, tables in packaged("materials.toml").items()
+        for name, table in tables.items()
+    }
 
 
 def materials_of(*kinds: str) -> dict[str, Material]:
     """The materials of some kinds by name, those of the first kind first."""
-    materials = dict[str, Material]()
-    for kind in kinds:
-        materials |= {name: entry for name, entry in library().items() if entry.kind == kind}
-    return materials
+    return {
+        name: material
+        for kind in kinds
+        for name, material in library().items()
+        if material.kind == kind
+    }
 
 
 def _material(kind: str, table: Mapping[str, Json]) -> Material:

@@ -276,18 +276,19 @@ def _strength_source(entry: LimitEntry) -> str:
 
 def fracture(results: Results) -> PageTable:
     """Fracture by any limit: its probability, the first failure mode, and the state at fracture."""
-    rows = []
-    for row in results.where("fracture", Kind.EXCEEDANCE_PROBABILITY):
-        rows.append(("fracture probability", probability(row)))
-    for row in results.where("fracture", Kind.MODE_SHARE):
-        rows.append((f"first failure mode: {row.at}", probability(row)))
+    broken = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
+    rows = [("fracture probability", probability(row)) for row in broken]
+    by_mode = results.where("fracture", Kind.MODE_SHARE)
+    rows += [(f"first failure mode: {row.at}", probability(row)) for row in by_mode]
     for kind, quantity in (
         (Kind.TIME_AT_FRACTURE, "contact_duration"),
         (Kind.FORCE_AT_FRACTURE, "P_max"),
     ):
-        for row in results.where("fracture", kind):
-            if row.at == 0.5:
-                rows.append((f"{kind.replace('_', ' ')}, median", estimate(row, quantity)))
+        rows += [
+            (f"{kind.replace('_', ' ')}, median", estimate(row, quantity))
+            for row in results.where("fracture", kind)
+            if row.at == 0.5
+        ]
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),
@@ -304,7 +305,7 @@ def quantities(results: Results) -> PageTable:
     """Distributions: one row a quantity."""
     rows = []
     entries = results.study.quantities
-    quantiles = itertools.chain(*(results.where(name, Kind.QUANTILE) for name in entries))
+    quantiles = (row for row in results.answers if row.answer == Kind.QUANTILE)
     places = dict.fromkeys(float(row.at) for row in quantiles)
     for name in entries:
         mean = estimate(results.get(name, Kind.MEAN), name)
