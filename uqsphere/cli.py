@@ -20,7 +20,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any, NoReturn
 
-from uqsphere.errors import UqsphereError, UsageError, tell
+from uqsphere.errors import FolderError, UqsphereError, UsageError, tell
 
 #: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
@@ -618,7 +618,6 @@ def _verify(options: Namespace) -> None:
     uqsphere verify rock-results
     uqsphere verify rock-results --again
     """
-    from uqsphere.errors import FolderError
     from uqsphere.results import open_run
     from uqsphere.results.folder import damaged_files
 

@@ -178,7 +178,7 @@ def _ends_of_interest(free: FreeNumber, curves: Sequence[Curve], places: Sequenc
     shown = np.concatenate([places, *inside])
     shown = shown[(shown >= free.low) & (shown <= free.high)]
     low, high = free.low, free.high
-    if len(shown) > 1 and np.ptp(shown) > 0.0:
+    if len(set(shown)) > 1:
         low, high = shown.min(), shown.max()
         if free.low > 0.0:
             low, high = low / 1.15, high * 1.15

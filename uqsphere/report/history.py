@@ -16,6 +16,7 @@ from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.field import BARS, default_positions, first_tension, gauge_record
 from uqsphere.mechanics.history import (
+    FieldView,
     History,
     equilibrium,
     rod_length,
@@ -41,8 +42,6 @@ from .tables import PageTable, paper_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from uqsphere.mechanics.history import FieldView
 
 
 @frozen(eq=False, repr=False)

@@ -304,10 +304,9 @@ def fracture(results: Results) -> PageTable:
 def quantities(results: Results) -> PageTable:
     """Distributions: one row a quantity."""
     rows = []
-    entries = results.study.quantities
     quantiles = (row for row in results.answers if row.answer == Kind.QUANTILE)
     places = dict.fromkeys(float(row.at) for row in quantiles)
-    for name in entries:
+    for name in results.study.quantities:
         mean = estimate(results.get(name, Kind.MEAN), name)
         sd = estimate(results.get(name, Kind.SD), name, 3)
         cells = (estimate(results.get(name, Kind.QUANTILE, p), name) for p in places)
@@ -327,7 +326,6 @@ def with_indices(results: Results) -> list[str]:
 
 def indices(results: Results) -> PageTable:
     """First-order and total Sobol' indices: a row an input, the largest total first."""
-    entries = results.study.quantities
     names = with_indices(results)
     ranked = ranked_inputs(results, names)
     orders = list(itertools.product(names, (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)))
@@ -337,7 +335,7 @@ def indices(results: Results) -> PageTable:
         rows.append((meaning(at), *cells))
     if results.study.dependence and not ranked:
         rows.append(("none: tied inputs have no Sobol’ indices", *[DASH] * len(orders)))
-    methods = {METHODS[entries[name].method_of_indices] for name in names}
+    methods = {METHODS[results.study.quantities[name].method_of_indices] for name in names}
     note = (
         "first order S: the input by itself; total T: with its interactions; "
         f"{LEVEL_TEXT} intervals"

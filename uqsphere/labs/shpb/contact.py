@@ -34,8 +34,12 @@ _BEGINNINGS = (0.03, 0.15, 0.5)
 _PILE_UP = (1.0, 3.0)
 #: bounds of what is fitted: of ln E* and ln p_y about their beginnings, of ln H/p_y, of the
 #: displacement of first touch over the range of displacements, and of the pile-up
-_LOWEST = np.array([-3.0, -5.0, math.log(1.2), -3.0, _PILE_UP[0]])
-_HIGHEST = np.array([3.0, 5.0, math.log(50.0), 3.0, _PILE_UP[1]])
+_BOUNDS = np.array(
+    [
+        [-3.0, -5.0, math.log(1.2), -3.0, _PILE_UP[0]],
+        [3.0, 5.0, math.log(50.0), 3.0, _PILE_UP[1]],
+    ]
+)
 #: ratio of the ends of an interval beyond which a number is not determined
 _OPEN = 30.0
 
@@ -226,11 +230,9 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         modulus = (2.0 / slope) ** 1.5 / hertz_constant(1.0, radius)
         onset = pressure_at_force(share * highest, modulus, radius)
         centre = np.array([math.log(modulus), math.log(onset), 0.0, 0.0, 0.0])
-        low = centre + _LOWEST
-        high = centre + _HIGHEST
-        begin = np.clip([*centre[:2], math.log(2.0), touch / scale, 2.0], low, high)
-        bounds = (low[free], high[free])
-        fits.append(least_squares(residual, begin[free], bounds=bounds, x_scale="jac", xtol=1e-10))
+        bounds = (centre + _BOUNDS)[:, free]
+        begin = np.clip([*centre[:2], math.log(2.0), touch / scale, 2.0][free], *bounds)
+        fits.append(least_squares(residual, begin, bounds=bounds, x_scale="jac", xtol=1e-10))
     best = min(fits, key=lambda fitted: fitted.cost)
     left = best.fun
     law = law_of(best.x)

@@ -7,18 +7,17 @@ share of 0.01 % comes from the distribution of the strength, not from counted sa
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
+import uqsphere
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import JsonObject, Section, csv_text, in_unit, table
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
+from uqsphere.study import Margins, Study
 from uqsphere.units import UnitError, parse_value
-
-if TYPE_CHECKING:
-    from uqsphere.study import Study
 
 #: numbers of the rigs that are varied, in order of preference, if the file does not name one
 _FREE = (
@@ -65,9 +64,6 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
     Raises UsageError for a study without a limit that means fracture or without the number,
         StudyError as `load_study`.
     """
-    import uqsphere
-    from uqsphere.study import Margins
-
     study = uqsphere.load_study(folder / asked.study)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
@@ -157,7 +153,7 @@ def plan_csv(plan: JsonObject) -> str:
     return csv_text(np.column_stack(columns), [*head, "failed [1]"])
 
 
-def _range(asked: PlanDocument, study: "Study") -> tuple[str, float, float]:
+def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
     """The free number and its ends [SI]: of the file, of the study's margins, or a third to three
     times its value.
     """
