@@ -301,6 +301,22 @@ def test_a_row_without_room_has_a_status_and_no_number(monkeypatch: pytest.Monke
     assert all(np.isnan(column[0]) for column in found.values.values())
 
 
+def test_a_row_of_too_many_steps_is_not_tried_with_more_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = []
+
+    def march(rows: Any, order: Any, state: Any, made: Any, kept: Any, out: Any) -> None:
+        tried.append(order.tolist())
+        out["status"][order] = np.where(order == 0, tracked.TOO_MANY_STEPS, tracked.FULL_ROOM)
+
+    monkeypatch.setattr(kernel, "march", march)
+    given = scaled_scene([1.0, 2.0], 1.0)
+    task = dynamics.task_of(given, "full", 1e-6)
+    assert dynamics.integrate(given, task, threads=1)["status"].tolist() == [5, 5]
+    assert tried == [[0, 1], *[[1]] * (len(dynamics._CAPACITIES) - 1)]
+
+
 def test_too_many_reflections_have_a_status() -> None:
     scene = scaled_scene([1.0], [0.0018], [(0.002, 60.0)], [(-1.0, -1.0)])
     with pytest.raises(ValueError, match="too many reflections"):

@@ -53,7 +53,7 @@ from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, TERMS, End
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
 GROWTH, GROWTH_ECHO = 4.0, 1.3
-#: steps a row may take at most: one that takes more has status 5
+#: steps a row may take at most: one that takes more is given up
 LIMIT = 1 << 20
 #: errors allowed in one step that the series of the root may part from the root at the step's end,
 #: as the impulse of that difference over the whole step.  At 100 a light sphere between bars, whose
@@ -474,7 +474,9 @@ def _judge(s, j):
     for bar in range(2):
         if lane.trips[bar] < inf and lane.time < lane.end:
             oldest = min(oldest, max(lane.first[bar], 0))
-    if lane.count - oldest >= s.capacity or lane.count >= LIMIT:
+    if lane.count >= LIMIT:
+        lane.fate = tracked.TOO_MANY_STEPS
+    elif lane.count - oldest >= s.capacity:
         lane.fate = tracked.FULL_ROOM
 
 

@@ -298,6 +298,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
         order = order[answers["status"][order] == tracked.FULL_ROOM]
         if len(order) == 0:
             break
+    answers["status"][order] = tracked.TOO_MANY_STEPS
     return answers, paths
 
 

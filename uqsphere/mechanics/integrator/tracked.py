@@ -55,9 +55,9 @@ class End(IntEnum):
     BRANCH = 3
 
 
-#: status of a row; of one that is not done the first
+#: status of a row; of one that is not done the first, of one to be tried with more room the last
 GOES_ON = -1
-OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, FULL_ROOM, NOT_FINITE = range(7)
+OK, DOMAIN, TOO_LONG_PULSE, STUCK, CROWDED, TOO_MANY_STEPS, NOT_FINITE, FULL_ROOM = range(8)
 NEVER_CLOSES, STILL_PRESSED = 11, 12
 
 # what the caller wants beside the largest approaches, as bits; that of a largest value is 1 << (its
