@@ -24,7 +24,7 @@ together, values that are not finite, and laws that cannot be made.
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -444,9 +444,9 @@ class Fragility:
         """
         if not 0.0 < probability < 1.0:
             raise UsageError(f"a probability lies between 0 and 1, found {probability}")
-        return _fragility(self.curve[:, 0], self.shares, self.samples, [probability]).values[
-            probability
-        ]
+        levels = self.curve[:, 0]
+        fitted = curve.fragility(levels, self.shares, [probability], samples=self.samples)
+        return fitted.values[probability]
 
     def __repr__(self) -> str:
         levels = "; ".join(
@@ -527,14 +527,11 @@ def fragility(
                 raise UsageError(f"the model has no finite answer at {free} = {level:g}")
             state = LimitState(demands=answers.reshape(REPLICATES, count), strength=law)
             rows.append(state.tails()[0].mean(axis=1))
-        return _fragility(grid, np.array(rows), count, (0.05, 0.5, 0.95))
-
-
-def _fragility(grid: Array, shares: Array, samples: int, targets: Sequence[float]) -> Fragility:
-    fitted = curve.fragility(grid, shares, targets, samples=samples)
-    return Fragility(
-        curve=np.array(fitted.curve)[:, :4], values=fitted.values, shares=shares, samples=samples
-    )
+        shares = np.array(rows)
+        fitted = curve.fragility(grid, shares, (0.05, 0.5, 0.95), samples=count)
+        return Fragility(
+            curve=np.array(fitted.curve)[:, :4], values=fitted.values, shares=shares, samples=count
+        )
 
 
 # --- strengths from tests -------------------------------------------------------------------------

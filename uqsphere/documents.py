@@ -91,16 +91,25 @@ def above(path: str) -> list[str]:
     return places
 
 
-def one_of(words: Iterable[str]) -> str:
+def listed(words: Iterable[str], link: str = "and") -> str:
     """Words as a list in a sentence.
 
-    >>> one_of(["a", "b", "c"])
-    'a, b or c'
+    >>> listed(["a", "b", "c"]), listed(["a"])
+    ('a, b and c', 'a')
     """
     *first, last = list(words) or ["none"]
     if not first:
         return last
-    return f"{', '.join(first)} or {last}"
+    return f"{', '.join(first)} {link} {last}"
+
+
+def one_of(words: Iterable[str]) -> str:
+    """Words as a list to choose from.
+
+    >>> one_of(["a", "b", "c"])
+    'a, b or c'
+    """
+    return listed(words, "or")
 
 
 def suggestion(word: object, known: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
+from uqsphere.documents import listed
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
 from uqsphere.quantities import format_probability, round_conservative
 from uqsphere.results.types import (
@@ -479,15 +480,6 @@ def _damage_modes(decisions: Sequence[Decision]) -> list[str]:
     """Failure modes that damage the sphere and are not counted as its fracture."""
     doubts = chain.from_iterable(decision.doubts for decision in decisions)
     return [*dict.fromkeys(plain_name(doubt.subject) for doubt in doubts if not doubt.counts)]
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words as a list in a sentence.
-
-    >>> listed(["a", "b", "c"]), listed(["a"])
-    ('a, b and c', 'a')
-    """
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _words(doubt: Doubt) -> tuple[str, str]:
