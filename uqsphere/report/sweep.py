@@ -187,8 +187,9 @@ def run_on_cluster(
     from uqsphere.propagation import check_owner
 
     for point in points:
-        with locked(sweep.folder / point.name):
-            check_owner(sweep.folder / point.name, point.study, fresh=False)
+        folder = sweep.folder / point.name
+        with locked(folder):
+            check_owner(folder, point.study, fresh=False)
     waiting = {point.name: start(point.study) for point in points}
     while waiting and not stop():
         for point in points:

@@ -208,12 +208,12 @@ def limits(results: Results) -> PageTable:
 
 def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: FreeNumber) -> str:
     """The free number at the target by one limit alone, without what is open."""
-    if not results.where(subject, Kind.CURVE):
+    curve = results.where(subject, Kind.CURVE)
+    if not curve:
         return DASH
     row = results.get(subject, Kind.MARGIN, entry.allowable)
     if row.value is not None:
         return value(row.value, free.quantity)
-    curve = results.where(subject, Kind.CURVE)
     above = [(point.value or 0.0) > entry.allowable for point in curve]
     crossings = np.count_nonzero(np.diff(above))
     if crossings:

@@ -41,6 +41,7 @@ def particle_energies(
     rows."""
     want = asked.tests
     material = asked.material
+    partner = want.partner
     notes = []
     if want.mass:
         mass = table.numbers(want.mass, "mass", want.mass_unit, key="mass")
@@ -62,7 +63,7 @@ def particle_energies(
                 want.stiffness, "pressure", want.stiffness_unit, key="stiffness"
             )
         else:
-            bodies = filter(None, (material, want.partner))
+            bodies = filter(None, (material, partner))
             compliance = sum(1.0 / stiffness(body) for body in bodies)
             modulus = np.full(len(energy), 1.0 / compliance)
             notes.append(
@@ -74,20 +75,20 @@ def particle_energies(
     table.check()
     if meaning == "sphere":
         return energy, notes
-    if not want.partner:
+    if not partner:
         whole = "stored in the contacts" if meaning == "contact" else "offered"
         notes.append(
             f"without tests.partner the particle is credited with the whole energy {whole}; a "
             "study credits it with its share only"
         )
         return energy, notes
-    shares = np.full_like(energy, laws.particle_share(stiffness(material), stiffness(want.partner)))
+    shares = np.full_like(energy, laws.particle_share(stiffness(material), stiffness(partner)))
     if meaning == "input":
         for falling in (True, False):
             rows = (rig == "drop_weight") == falling
             if rows.any():
                 shares[rows], told = offered_shares(
-                    asked, want.partner, falling, energy[rows], diameter[rows]
+                    asked, partner, falling, energy[rows], diameter[rows]
                 )
                 notes += told
     return energy * shares, notes
@@ -111,6 +112,7 @@ def offered_shares(
         return elastic, []
     sphere = _table(particle, "sphere")
     other = _table(partner, "plates", "bars")
+    thick = {"kind": "thick", **other}
     sphere["radius"] = f"{0.5 * float(diameter.mean())!r} m"
     tables = {"sphere": sphere}
     if asked.contact_law:
@@ -121,11 +123,11 @@ def offered_shares(
         weight = _HEAVY * float(mass.max())
         hammer = {"mass": f"{weight!r} kg", "drop_height": "1 m", "face_radius": "flat"}
         tables |= {"rig": {"kind": "drop_weight"}, "hammer": hammer | other}
-        tables["anvil"] = {"kind": "thick", **other}
+        tables["anvil"] = thick
         rows["hammer.drop_height"] = energy * mass / (weight * _GRAVITY)
     else:
         tables["rig"] = {"kind": "impact", "speed": "1 m/s"}
-        tables["target"] = {"kind": "thick", **other}
+        tables["target"] = thick
         rows["rig.speed"] = np.sqrt(2.0 * energy)
     quantities = ["specific_energy_sphere", "specific_impact_energy"]
     with warnings.catch_warnings(record=True) as caught:

@@ -333,30 +333,31 @@ def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
             "broke another of its size. Test more between those energies, or give a prior of sigma "
             "and modulus"
         )
+    draws = asked.draws
     models = [model_of(law, asked, tests) for law in laws.LAWS if want.law in (law, "average")]
     chains = []
     about = {}
     for k, model in enumerate(models):
         rng = np.random.default_rng([asked.seed, 731, k])
-        chain, about[model.law] = sample(model, tests, rng, asked.draws)
+        chain, about[model.law] = sample(model, tests, rng, draws)
         chains.append(chain)
     weights = special.softmax([law["loo"] for law in about.values()])
     # the draws of all laws by their weights, in random order
-    ends = np.round(np.cumsum(weights) * asked.draws).astype(int)
+    ends = np.round(np.cumsum(weights) * draws).astype(int)
     law_of = np.repeat(np.arange(len(models)), np.diff(ends, prepend=0))
     rng = np.random.default_rng([asked.seed, 733])
-    order = rng.permutation(asked.draws)
+    order = rng.permutation(draws)
     parameters: dict[str, Array] = {}
     for k, model in enumerate(models):
         about[model.law]["weight"] = weights[k]
         places = np.flatnonzero(law_of == k)
-        rows = np.linspace(0, asked.draws - 1, len(places)).astype(int)
+        rows = np.linspace(0, draws - 1, len(places)).astype(int)
         for j, name in enumerate(model.priors):
-            column = parameters.setdefault(name, np.full(asked.draws, np.nan))
+            column = parameters.setdefault(name, np.full(draws, np.nan))
             column[places] = np.exp(chains[k][rows, j])
     if isinstance(want.gamma, float):
-        parameters["gamma"] = np.full(asked.draws, want.gamma)
-    parameters.setdefault("gamma", rng.lognormal(*PRIORS["gamma"], asked.draws))
+        parameters["gamma"] = np.full(draws, want.gamma)
+    parameters.setdefault("gamma", rng.lognormal(*PRIORS["gamma"], draws))
     posterior = Posterior(
         models=models,
         law=law_of,
@@ -384,6 +385,7 @@ def _described(
 ) -> JsonObject:
     """A fit as plain JSON."""
     want = asked.tests
+    weight = tests.weight
     warnings = [*tests.notes]
     fitted = {name: prior for model in posterior.models for name, prior in model.priors.items()}
     priors = PRIORS | fitted
@@ -402,7 +404,7 @@ def _described(
             warnings.append(
                 f"the {better} law predicts these tests better (log score by {abs(gap):.1f})"
             )
-        elif tests.weight.sum() < FEW:
+        elif weight.sum() < FEW:
             warnings.append(
                 f"fewer than {FEW} tests cannot distinguish lognormal from Weibull: both are "
                 "averaged"
@@ -422,10 +424,10 @@ def _described(
         "size": posterior.models[0].size,
         "ratio": want.ratio if math.isfinite(want.ratio) else None,
         "tests": {
-            "specimens": len(tests.weight),
+            "specimens": len(weight),
             "particles": posterior.tests,
-            "broke": int(tests.weight[tests.broke].sum()),
-            "exact": int(tests.weight[tests.exact].sum()),
+            "broke": int(weight[tests.broke].sum()),
+            "exact": int(weight[tests.exact].sum()),
             "repeated": int(tests.repeated.sum()),
             "diameters": posterior.tested,
         },
@@ -434,8 +436,8 @@ def _described(
         "sizes": [
             {
                 "diameter": size,
-                "tests": int(tests.weight[near].sum()),
-                "broke": int(tests.weight[near & tests.broke].sum()),
+                "tests": int(weight[near].sum()),
+                "broke": int(weight[near & tests.broke].sum()),
                 "breaks_half": quantiles(posterior.energy_at(0.5, size)),
                 "E50": quantiles(posterior.median(size)),
                 "breaks_1_percent": quantiles(posterior.energy_at(0.01, size)),

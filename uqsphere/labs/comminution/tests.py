@@ -90,13 +90,14 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
         kept = [row for row, cell in enumerate(cells) if cell == value]
         table = replace(table, rows=[table.rows[row] for row in kept], lines=table.lines[kept])
-    if not len(table):
+    count = len(table)
+    if not count:
         raise UsageError(f"{table.name}: tests.where selects no row")
     # a column, or the geometric mean of two sieves
     sieves = [want.diameter] if want.diameter else [want.mesh_lower, want.mesh_upper]
     ends = [table.numbers(name, "length", want.diameter_unit, key="diameter") for name in sieves]
     diameter = np.sqrt(ends[0] * ends[-1])
-    particles = blows = np.ones(len(table))
+    particles = blows = np.ones(count)
     if want.particles:
         particles = table.numbers(want.particles)
     if want.blows:
@@ -106,12 +107,12 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     else:
         allowed = f"one of {', '.join(_BROKE)}"
         broken = table.flags(want.outcome, "outcome", allowed, _BROKE) * particles
-    rig = np.full(len(table), want.rig)
+    rig = np.full(count, want.rig)
     if want.rig_column:
         rig = np.array(table.texts(want.rig_column))
     at_failure = np.isin(rig, _AT_FAILURE)
     # rows of one name are the series of blows on one particle
-    specimen = pd.Series(range(len(table)))
+    specimen = pd.Series(range(count))
     if want.specimen:
         specimen = pd.Series(pd.factorize(np.array(table.texts(want.specimen)))[0])
     for message, wrong in {

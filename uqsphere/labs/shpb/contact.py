@@ -235,14 +235,15 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         fits.append(least_squares(residual, begin, bounds=bounds, x_scale="jac", xtol=1e-10))
     best = min(fits, key=lambda fitted: fitted.cost)
     left = best.fun
+    count = len(left)
     law = law_of(best.x)
     depth = float(law.depth_at(highest))
     # correlated residuals count for fewer
     squares = 2.0 * best.cost
     correlation = float(left[1:] @ left[:-1]) / max(squares, 1e-300)
-    if correlation <= 2.0 / math.sqrt(len(left)):
+    if correlation <= 2.0 / math.sqrt(count):
         correlation = 0.0
-    spare = len(left) - len(best.x)
+    spare = count - len(best.x)
     jacobian = np.asarray(best.jac)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * squares / spare
     covariance *= (1.0 + correlation) / max(1.0 - correlation, 0.02)
@@ -259,7 +260,7 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
     modulus = interval(law.modulus, 0, 1)
     onset = interval(law.onset, 1, 2)
     hardness = interval(law.hardness, 1, 3)
-    misfit = math.sqrt(squares / len(left))
+    misfit = math.sqrt(squares / count)
     undetermined = onset.high > _OPEN * onset.low
     if undetermined and misfit > 0.01:
         raise UsageError(
@@ -306,6 +307,6 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         sphere_modulus=sphere_modulus,
         depth=depth,
         misfit=scale * misfit,
-        samples=len(left),
+        samples=count,
         notes=notes,
     )

@@ -152,8 +152,9 @@ def check_specimen(
                 f"{2.0 * pressed * 1e-3:.4g} kN",
                 2.0 * pressed,
             )
-        if _WIDE * peak.value < peak.high - peak.low < math.inf:
-            half = 0.5 * (peak.high - peak.low) / peak.value
+        width = peak.high - peak.low
+        if _WIDE * peak.value < width < math.inf:
+            half = 0.5 * width / peak.value
             peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
         if strongest and peak.low > strongest:
             peaks.doubt(

@@ -495,9 +495,9 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
     step = _step(time)
     grid = time
     if _is_even(time, _UNEVEN):
-        step = (time[-1] - time[0]) / (len(time) - 1)
+        step = np.ptp(time) / (len(time) - 1)
     else:
-        count = round((time[-1] - time[0]) / step) + 1
+        count = round(np.ptp(time) / step) + 1
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)

@@ -117,13 +117,14 @@ def read_test(record: Record) -> Reading:
         noise=behind.stiffness * receiving.noise,
         memory=receiving.memory,
     )
-    peaks = Peaks(B=largest_force(face_b))
+    largest = largest_force(face_b)
+    peaks = Peaks(B=largest)
     noise = face_b.scatter(receiving.wave.falling - receiving.wave.half)
-    if not peaks["B"].low > 0.0 or peaks["B"].value < 3.0 * noise:
+    if not largest.low > 0.0 or largest.value < 3.0 * noise:
         raise UsageError("no force at the receiving face rises above the noise of the record")
     peaks.doubt("B", arrivals.doubt_b)
     if arrivals.speed_ratio != 1.0:
-        other = peaks["B"].value * arrivals.speed_ratio**2
+        other = largest.value * arrivals.speed_ratio**2
         peaks.doubt(
             "B",
             f"if E is wrong in place of a distance, the force is {other * 1e-3:.4g} kN",
@@ -165,7 +166,7 @@ def read_test(record: Record) -> Reading:
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
     notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
     _check_gauges(peaks, record, window)
-    balanced, rate = _balance(forces, peaks["B"], step)
+    balanced, rate = _balance(forces, largest, step)
     touch = record.start + step * wave.start
     if not asked.aligned:
         touch += bar.passage
@@ -302,7 +303,8 @@ def _near_face(
     count = window.length
     before = record.incident
     after = record.reflected
-    bar = before.bar
+    stiffness = before.bar.stiffness
+    apart = window.apart
     doubt = ""
     alive = np.arange(count) < window.alive
     incident = np.zeros(count)
@@ -316,28 +318,29 @@ def _near_face(
         body = np.abs(reflected) > 0.5 * np.abs(reflected).max()
         if reflected[body].mean() <= 0.0:
             note(after, "sign", "has the sign of the incident wave; it is taken as tension")
-            force = -bar.stiffness * (incident + reflected)
+            force = -stiffness * (incident + reflected)
             doubt = (
                 "the reflected wave is taken as tension; with the sign of the file A would be "
                 f"{force.max() * 1e-3:.4g} kN"
             )
             reflected = -reflected
-    force = -bar.stiffness * (incident + reflected)
-    force[: window.apart.start] = math.nan
-    force[window.apart.stop :] = math.nan
+    force = -stiffness * (incident + reflected)
+    force[: apart.start] = math.nan
+    force[apart.stop :] = math.nan
     noise = after.noise**2 + alive * before.noise**2
     offset = after.offset + alive * before.offset
-    both = bar.stiffness**2 * (incident**2 + reflected**2)
-    gain = bar.gain_sd**2 * both
+    both = stiffness**2 * (incident**2 + reflected**2)
+    gain_sd = before.bar.gain_sd
+    gain = gain_sd**2 * both
     if record.shared:  # one gauge: its gain is common to both waves
-        gain = (bar.gain_sd * force) ** 2
+        gain = (gain_sd * force) ** 2
     if before.single or after.single:
         gain = gain + _BENDING**2 * both
     face_a = Force(
         time=face_b.time,
         force=force,
-        sd=np.sqrt(bar.stiffness**2 * (noise + offset**2) + gain),
-        noise=bar.stiffness * math.hypot(before.noise, after.noise),
+        sd=np.sqrt(stiffness**2 * (noise + offset**2) + gain),
+        noise=stiffness * math.hypot(before.noise, after.noise),
         memory=before.memory,
     )
     mean = face_a._replace(
@@ -345,9 +348,9 @@ def _near_face(
         sd=0.5 * np.hypot(face_a.sd, face_b.sd),
         noise=0.5 * face_a.noise,
     )
-    peaks["A"] = largest_force(face_a.part(window.apart))
-    peaks["mean"] = largest_force(mean.part(window.apart))
-    begin = window.apart.start
+    peaks["A"] = largest_force(face_a.part(apart))
+    peaks["mean"] = largest_force(mean.part(apart))
+    begin = apart.start
     if begin > 0 and peaks["A"].time < before.step * (begin + before.wave.lead):
         peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
     peaks.doubt("A", doubt)
