@@ -274,6 +274,18 @@ def test_record_on_infinite_bars_ends_where_both_forces_are_small() -> None:
         assert last == pytest.approx(0.01 * over(exact, scene, "P_max")[row], rel=1e-7)
 
 
+def test_a_loss_behind_the_end_of_the_record_is_not_looked_at_again() -> None:
+    """In the last step both forces fall below 1 %, and then a face is lost, slowly."""
+    given = scaled_scene([95.939, 4.8], [0.44694, 0.6], shape="half_sine")
+    task = dynamics.task_of(given, "full", 1e-3)
+    rows = dynamics.scaled_arguments(given, np.arange(2))
+    first, _ = dynamics.march_rows(rows, replace(task, requested=1e-3))
+    found = dynamics.integrate(given, task, threads=1)
+    assert found["contact_censored"].tolist() == [1.0, 0.0]
+    assert first["blur"][0] == 0.0 < first["blur"][1]
+    assert found["steps"][0] == first["steps"][0]
+
+
 def test_extremes_end_and_say_how() -> None:
     mu, theta = (
         grid.ravel()

@@ -329,9 +329,6 @@ def _first_event(s, j):
                 ends = at
                 lane.why = End.BRANCH
                 lane.side = face
-    if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
-        lane.lost = lane.time + ends * s.h[j]
-        _note_loss(s, j, ends)
     return ends
 
 
@@ -371,10 +368,12 @@ def _branch_end(s, j, face, end):
 
 @compiled
 def _note_loss(s, j, ends):
-    """How far the error of the approach moves a loss of contact, and whether it may undo it: then
-    `grazed` is 0; it is the time of the loss where the approach went straight through.
+    """The first loss of contact, how far the error of the approach moves it, and whether it may
+    undo it: then `grazed` is 0; it is the time of the loss where the approach went straight
+    through.
     """
     lane = s.lane[j]
+    lane.lost = lane.time + ends * s.h[j]
     rate, bow = _bend_of(s, lane.side * LANES + j, ends)
     lane.blur = lane.faint * s.h[j] / -rate
     # how deep a gap opens before the approach turns, or the waves jump
@@ -441,8 +440,8 @@ def after_step(s, j):
             ends = at
             lane.why = End.RECORD
             lane.ended = lane.time + at * s.h[j]
-            if lane.lost > lane.ended:  # a loss after the record's end is none
-                lane.lost = nan
+    if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
+        _note_loss(s, j, ends)
     if s.wanted & tracked.WANT_CARRIED:
         _note_squared_forces(s, j, ends)
     if s.wanted & tracked.WANT_DURATION:
