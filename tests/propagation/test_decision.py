@@ -710,6 +710,33 @@ def test_the_number_of_a_slow_model_allows_for_what_its_expansions_disagree_by()
     assert decision.use.value < 1.843
 
 
+def test_a_curve_towards_a_wall_lies_in_the_intervals_of_a_slow_model() -> None:
+    """y = a/(5.2 - v) is no polynomial of v: what is left of it changes sign from value to value,
+    and has nothing to do with a.
+    """
+    study = Study(
+        inputs={"v": 1.0, "a": {"dist": "lognormal", "mean": 1.0, "cov": 0.2}},
+        outputs="y",
+        seed=2,
+        limits={"high": {"quantity": "y", "strength": 3.0, "aim": "survive", "target": 0.05}},
+        margins={"solve": "v", "between": [0.5, 5.0]},
+        analysis={"cost": "10 s", "budget": {"evaluations": 384, "time": "100 h"}},
+    )
+
+    def wall(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": x["a"] / (5.2 - x["v"])}
+
+    rows = [row for row in uqsphere.run(study, wall).results.answers if row.answer == "curve"]
+    log_sd = np.sqrt(np.log(1.04))
+    at = np.array([float(row.at) for row in rows])
+    right = stats.norm.sf((np.log(3.0 * (5.2 - at)) + 0.5 * log_sd**2) / log_sd)
+    low, high = np.array([(row.low, row.high) for row in rows], float).T
+    held = (low <= right) & (right <= high)
+    # neighbours miss together
+    assert held.mean() > 0.9
+    assert held[right < 0.01].all()
+
+
 @pytest.mark.parametrize("slow", [False, True])
 def test_a_rise_within_a_step_of_the_curve_is_found_to_three_digits(slow: bool) -> None:
     scattered = {"dist": "normal", "mean": 0.0, "sd": 1.0}

@@ -410,7 +410,7 @@ class Curves:
         away = []
         for other in adding:
             means = self.base(other)[0]
-            ends = ends_by_rows(self.line.design, compared, other, self.line.values, means)
+            ends = ends_by_rows(self.line.design, compared, other, self.line.samples, means)
             away.append(ends[2 + self.survive] - means.mean(axis=1))
         alone, joint = base.mean(axis=2)
         return [alone + away[0], np.clip(joint + np.sum(away, axis=0), 0.0, 1.0)]

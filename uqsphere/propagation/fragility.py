@@ -87,7 +87,7 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     means, carrying = _along(design, line, limit)
     ends = None
     if tables.compared is not None:
-        ends = ends_by_rows(design, tables.compared, limit, [*line], means)
+        ends = ends_by_rows(design, tables.compared, limit, line, means)
     return fragility_of(
         np.array([*line]),
         np.clip(means, 0.0, 1.0),

@@ -7,7 +7,7 @@ their spread is the error.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -18,9 +18,9 @@ from uqsphere.errors import StudyError, TooManyFailures
 from uqsphere.models.model import Model
 from uqsphere.models.scene import evaluate_scene
 from uqsphere.study import Limit, load_study
-from uqsphere.uq import LimitState, Sample
+from uqsphere.uq import Law, LimitState, Sample
 from uqsphere.uq.corrected import corrected_probability
-from uqsphere.uq.estimate import count_bound, fold_spread
+from uqsphere.uq.estimate import count_bound, fold_spread, student
 
 from .design import Design
 from .free_number import demand_factor, grid, moved, shares_of
@@ -133,32 +133,50 @@ class Line:
 
 
 def ends_by_rows(
-    design: Design, compared: Compared, limit: Limit, values: Sequence[float], means: Array
+    design: Design, compared: Compared, limit: Limit, line: Mapping[float, Sample], means: Array
 ) -> Array:
-    """Ends (4, K) of the mean exceedance (K, R) of a limit that is predicted at values of the free
-    number: of its interval, and of a wider one that allows for what no row shows.
+    """Ends (4, K) of the mean exceedance (K, R) of a limit that is predicted in the samples of a
+    line: of its interval, and of a wider one that allows for what no row shows.
 
     Each end rests on the sqrt(n) rows of the model that are nearest to the value, so that averages
-    follow the curve while their noise falls, and on how much the expansions disagree.
+    follow the curve while their noise falls, on the error that these have in common with their
+    neighbours (`_common_error`), which an average over both of its signs hides, and on how much the
+    expansions disagree.
     """
     margins = design.study.margins
     assert margins is not None
     state = state_of(design, limit, compared.sample)
+    residuals = state.demands[0] - state.demands[1:].mean(axis=0)
+    products = residuals[1:] * residuals[:-1]
+    # as often of the sign of the neighbour as by chance in one of twenty
+    systematic = np.sign(products).mean() > student(math.inf, 0.9) / math.sqrt(len(products))
     near: Places | slice = slice(None)
     influence = []
     expected = []
-    for value in values:
-        exceeded = state.tails(demand_factor(margins, limit, value))[0]
+    cells = []
+    shifted = []
+    for value, sample in line.items():
+        factor = demand_factor(margins, limit, value)
+        shift = 0.0
         if compared.values is not None:
             apart = shares_of(margins, compared.values) - shares_of(margins, np.array(value))
-            near = np.argsort(np.abs(apart))[: math.isqrt(len(apart))]
-        answered, *predicted = exceeded[:, near]
+            near = np.sort(np.argsort(np.abs(apart))[: math.isqrt(len(apart))])
+            shift = _common_error(products[near[:-1]], systematic)
+        answered, *predicted = state.tails(factor)[0][:, near]
         influence.append(answered - np.mean(predicted, axis=0))
         expected.append(np.var(predicted, axis=0).mean())
-    _, *inner = corrected_probability(means.T, np.transpose(influence), np.array(expected), 0.0)
+        # a replicate knows what it counts to one of its rows
+        cells.append(0.0 if isinstance(state.strength, Law) else 1.0 / sample.count)
+        there = state_of(design, limit, sample)
+        either = [replace(there, demands=there.demands + step) for step in (-shift, shift)]
+        shifted.append(0.5 * np.ptp([of.tails(factor)[0].mean() for of in either]))
+    _, *inner = corrected_probability(
+        means.T, np.transpose(influence), np.array(expected), np.array(cells)
+    )
     middle = means.mean(axis=1)
     sides = np.array([[-1.0], [1.0]])
     away = np.maximum(sides * np.subtract(inner, middle), 0.0)
+    away = np.hypot(away, shifted)
     if compared.folds:
         by_folds = [
             state_of(design, limit, fold).tails()[0].mean(axis=1) for fold in compared.folds
@@ -166,6 +184,20 @@ def ends_by_rows(
         away = np.hypot(away, fold_spread(np.transpose(by_folds)))
     ends = middle + sides * away
     return np.clip([*ends, *(ends + sides * count_bound(compared.sample.count))], 0.0, 1.0)
+
+
+def _common_error(products: Array, systematic: bool) -> float:
+    """The size of an error that rows have in common with their neighbours along the free number, at
+    the upper end of its interval, by the products (m,) of the residuals of neighbours; 0 where it
+    is neither known to be systematic nor significant here.
+
+    Products of independent residuals have either sign, those of a common error are its square.
+    """
+    total = products.sum()
+    half = student(math.inf) * math.sqrt((products**2).sum())
+    if systematic or total > half:
+        return math.sqrt(max(total + half, 0.0) / len(products))
+    return 0.0
 
 
 def exceedance(state: LimitState, survive: bool) -> Array:

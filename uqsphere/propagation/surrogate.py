@@ -20,8 +20,10 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
 from uqsphere.uq import Sample, sobol_points
+from uqsphere.uq.chaos.basis import germs_of
 from uqsphere.uq.corrected import NODES
 from uqsphere.uq.estimate import count_bound
+from uqsphere.uq.law import make_law
 from uqsphere.uq.response import FOLDS, Response, cross_fit
 from uqsphere.uq.rows import as_table, check_rows
 from uqsphere.uq.surrogate import columns_of, each_once
@@ -313,6 +315,10 @@ def _compared(rows: Sample, responses: Sequence[Response]) -> Sample:
 def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     """The tables with columns that are predicted at values of the free number, by expansions in the
     inputs and in it, and the rows that they are fitted to; or why there are none.
+
+    The values of the rows follow the arcsine law, which is dense at the ends: polynomials that are
+    fitted there are near the best at every value, not only on average (Chebyshev; for regression,
+    Hampton and Doostan 2015).
     """
     design = tables.design
     margins = design.study.margins
@@ -321,7 +327,8 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     if count < LEAST_ROWS:
         return replace(tables, without_line=f"at least {LEAST_ROWS} model runs more are needed")
     points = _design_points(design, count, 1, "slow line")
-    values = values_at(margins, points[:, -1])
+    dense_at_ends = make_law("beta", {"alpha": 0.5, "beta": 0.5}, 0.0, 1.0)
+    values = values_at(margins, dense_at_ends.ppf(points[:, -1]))
     normals = points[:, :-1]
     joints = (moved(design.study, value).inputs().only(names) for value in values.tolist())
     physical = np.array([joint.physical(row) for joint, row in zip(joints, normals, strict=True)])
@@ -341,7 +348,7 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
         if counted or gap or good.sum() < LEAST_ROWS or lie_apart(places[~good], places[good]):
             lost = f"{(~good).sum()} of {count} model runs there failed"
             return replace(tables, without_line=lost)
-    fits = cross_fit(places[good], answers[good], (*design.germs, "uniform"))
+    fits = cross_fit(places[good], answers[good], (*design.germs, *germs_of([dense_at_ends])))
     for response in fits:
         if not response.usable:
             return replace(tables, without_line=f"the expansion there is {response.reason}")
@@ -355,14 +362,15 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     further = grid(margins)
     while further:
         for value in further:
-            germ = 2.0 * shares_of(margins, value) - 1.0
+            germ = 2.0 * float(dense_at_ends.cdf(shares_of(margins, value))) - 1.0
             line[value] = _with_predictions(design, table, responses, germ)[1]
             folds[value] = _with_predictions(design, shared, responses, germ)[0]
         line = dict(sorted(line.items()))
         further = _inside_steep_steps(Line(design=design, samples=line), count_bound(count))
+    order = np.argsort(values[good])
     compared = Compared(
-        sample=_compared(rows.where(good), fits),
-        values=values[good],
+        sample=_compared(rows.where(good), fits).where(order),
+        values=values[good][order],
         folds=[folds[value] for value in line],
     )
     return replace(tables, line=line, compared=compared)

@@ -57,7 +57,7 @@ class Compared:
     """Rows of a slow model beside what expansions that have not seen them predict.
 
     sample : (1 + J, n) the model's answers, and J equally likely predictions
-    values : the free number (n,) of each row; None where it is a strength
+    values : the free number (n,) of each row, rising; None where it is a strength
     folds : what every expansion predicts along it at the same points, (folds, m) each
     """
 

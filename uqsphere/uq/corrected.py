@@ -289,7 +289,7 @@ def _settled(levels: Array, influence: Array) -> Duo:
 
 
 def corrected_probability(
-    table: Array, influence: Array, expected: Values, cell: float
+    table: Array, influence: Array, expected: Values, cell: Values
 ) -> tuple[Array, Array, Array]:
     """Values and ends (...) of probabilities: those of the replicates of the table (R, ...), known
     to a cell, corrected by influences (n, ...).

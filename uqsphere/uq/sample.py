@@ -134,8 +134,8 @@ class Sample:
         """The rows of one replicate as those of `count` replicates."""
         return self._each(lambda cells: cells.reshape(count, -1, *cells.shape[2:]))
 
-    def where(self, which: Flags | slice) -> "Sample":
-        """Some rows of every replicate, by flags (n,) or from one place to another."""
+    def where(self, which: Flags | Places | slice) -> "Sample":
+        """Some rows of every replicate, by flags (n,), their places or a slice of these."""
         return self._each(lambda cells: cells[:, which])
 
     def _each(self, change: Callable[[Cells], Cells]) -> "Sample":
