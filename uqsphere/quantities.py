@@ -90,9 +90,10 @@ def format_together(values: Sequence[float], name: str) -> list[str]:
     sizes = [abs(value) for value in values if value]
     if not sizes:
         return [format_value(value, name) for value in values]
-    unit, factor = display_unit(name, max(sizes))
-    span = max(values) - min(values) or max(sizes)
-    first, smallest, spanned = (-_power(size * factor) for size in (max(sizes), min(sizes), span))
+    largest = max(sizes)
+    unit, factor = display_unit(name, largest)
+    span = max(values) - min(values) or largest
+    first, smallest, spanned = (-_power(size * factor) for size in (largest, min(sizes), span))
     # of ends that are close, one digit more at most
     decimals = max(first + 2, smallest + 1, min(spanned + 1, first + 3), 0)
     if decimals > 6:

@@ -196,10 +196,11 @@ def nearest_unit(text: str, dimension: str) -> str:
     near = [unit for unit in UNITS[dimension] if unit and unit.lower() == plain.lower()]
     if len(near) != 1:
         return ""
-    stem = near[0][1:]
-    if near[0][0] in "mM" and stem[:1].isalpha() and stem == plain[1:]:
+    unit = near[0]
+    stem = unit[1:]
+    if unit[0] in "mM" and stem[:1].isalpha() and stem == plain[1:]:
         return ""  # another power of ten
-    return near[0]
+    return unit
 
 
 def alien(text: str) -> str:

@@ -84,11 +84,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
         for subject in results.entries
         if limit in (None, plain_name(subject)) and results.where(subject, Kind.CURVE)
     }
-
-    def exceeded(subject: str) -> float:
-        return at_plan[subject].value or 0.0
-
-    kept = sorted(at_plan, key=exceeded, reverse=True)[:MOST_CURVES]
+    kept = sorted(at_plan, key=lambda subject: -(at_plan[subject].value or 0.0))[:MOST_CURVES]
     governing = {decision.governing for decision in results.decisions if decision.use is not None}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = []
@@ -227,16 +223,16 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
     colours = {curve.name: curve.colour for curve in curves}
     for decision in results.decisions:
         tested = [name for name in decision.limits if limits[name].tests]
-        tested.sort(key=lambda name: f"limits.{name}" != decision.governing)
-        if not decision.band or not tested or tested[0] not in colours:
+        name = min(tested, key=lambda name: f"limits.{name}" != decision.governing, default="")
+        if not decision.band or name not in colours:
             continue
-        colour = colours[tested[0]]
+        colour = colours[name]
         x, _, low, high = _ends(decision.band)
         if decision.aim == "break":
             low, high = 1.0 - high, 1.0 - low
         edges = special.ndtri(np.clip((low, high), 1e-9, 1.0 - 1e-9))
         axes.fill_between(x * factor, *edges, color=colour, alpha=0.16, lw=0, zorder=1)
-        at, shares, stopped = np.array(limits[tested[0]].test_points or np.empty((3, 0)))
+        at, shares, stopped = np.array(limits[name].test_points or np.empty((3, 0)))
         y = special.ndtri(np.clip(shares, LOWEST, HIGHEST))
         for kind, marker, fill in ((0.0, "o", colour), (1.0, ">", "white")):
             chosen = stopped == kind

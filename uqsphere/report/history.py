@@ -128,8 +128,9 @@ def history_rows(course: Course) -> Iterator[tuple[str, str]]:
     for change in course.changes[:6]:
         event = "lost" if change.kind == "lost" else "re-established"
         yield f"contact {event} at face {change.face}", _when(change.time)
-    if len(course.changes) > 6:
-        yield "further changes of contact", str(len(course.changes) - 6)
+    further = len(course.changes) - 6
+    if further > 0:
+        yield "further changes of contact", str(further)
     if course.later_peak is not None:
         pressure = format_value(course.later_peak.pressure, "p_max", 5)
         text = f"{pressure} at {_when(course.later_peak.time)}"

@@ -226,13 +226,14 @@ def _number_to_use(results: Results, subject: str) -> list[str]:
     for decision in results.decisions:
         doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
         margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
-        if any(doubt.margin_note == "nowhere" for doubt in doubts):
+        notes = {doubt.margin_note for doubt in doubts}
+        if "nowhere" in notes:
             return ["none", DASH]
         if margins:
             worst = max if decision.safe_above else min
             text = DecisionText(results, decision)
             return [text.number(worst(margins)), _span(text, min(margins), max(margins))]
-        if any(doubt.margin_note == "everywhere" for doubt in doubts):
+        if "everywhere" in notes:
             return ["whole range", DASH]
     return [DASH, DASH]
 

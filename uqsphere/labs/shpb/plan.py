@@ -119,10 +119,11 @@ def plan_text(plan: JsonObject) -> str:
     free = plan["free"]
     unit, factor = display_unit(free)
     rows = [[free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"])]]
-    for k in range(0, len(plan["values"]), max(1, len(plan["values"]) // 13)):
+    values = plan["values"]
+    for k in range(0, len(values), max(1, len(values) // 13)):
         low, middle, high = plan["force"][k]
         force = f"{middle * 1e-3:.4g} kN ({low * 1e-3:.4g} to {high * 1e-3:.4g})"
-        row = [format_value(plan["values"][k], free), force]
+        row = [format_value(values[k], free), force]
         for shares in plan["shares"].values():
             share, least, most = map(format_probability, shares[k])
             row.append(f"{share} ({least} to {most})")
