@@ -39,12 +39,11 @@ def format_bounds(quantity: Quantity) -> str:
     'Poisson ratio of the sphere must be between -1 and 0.5 (exclusive)'
     """
     low = format_value(quantity.lower, quantity.name)
-    name = quantity.called
     if not math.isfinite(quantity.upper):
-        return f"{name} must be above {low}"
+        return f"{quantity.called} must be above {low}"
     ends = "inclusive" if quantity.closed else "exclusive"
     high = format_value(quantity.upper, quantity.name)
-    return f"{name} must be between {low} and {high} ({ends})"
+    return f"{quantity.called} must be between {low} and {high} ({ends})"
 
 
 def display_unit(name: str, magnitude: float = inf) -> tuple[str, float]:

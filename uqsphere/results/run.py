@@ -46,10 +46,9 @@ class Run:
     pairs_of: Callable[[str], Any] = lambda quantity: None
 
     def __repr__(self) -> str:
-        results = self.results
         return (
-            f"<Run {results.study.title!r}: {len(results.answers)} answers of "
-            f"{results.accuracy.runs:,} model runs>"
+            f"<Run {self.results.study.title!r}: {len(self.results.answers)} answers of "
+            f"{self.results.accuracy.runs:,} model runs>"
         )
 
     def _repr_html_(self) -> str:

@@ -62,7 +62,6 @@ def find_arrivals(record: Record) -> Arrivals:
     receiving = record.receiving
     wave = incident.wave
     step = incident.step
-    bar = incident.bar
     if record.document.record.aligned:
         return Arrivals(record.reflected.wave.start, receiving.wave.start)
     back, there = _delays(record, *_SURE)
@@ -83,9 +82,9 @@ def find_arrivals(record: Record) -> Arrivals:
         other = there.predicted / max(there.seen, 1.0)
         if doubt_a and abs(other - speed_ratio) < abs(speed_ratio - 1.0) / 3.0:
             raise UsageError(
-                f"both arrivals fit a wave speed of {speed_ratio * bar.wave_speed:.4g} m/s, not "
-                f"{bar.wave_speed:.4g} m/s: E, density or both distances are wrong "
-                f"({doubt_a}; {doubt_b})"
+                f"both arrivals fit a wave speed of {speed_ratio * incident.bar.wave_speed:.4g} "
+                f"m/s, not {incident.bar.wave_speed:.4g} m/s: E, density or both distances are "
+                f"wrong ({doubt_a}; {doubt_b})"
             )
         # no force acts before first touch: the incident wave is at another place
         if there.late < 0.0:

@@ -106,13 +106,12 @@ class ContactFit:
         """The lines of a study."""
         onset, onset_ends = self.onset_pressure.in_gpa()
         hardness, hardness_ends = self.hardness.in_gpa()
-        pile_up = self.pile_up
         return f"""\
 [contact]
 law = "plastic"
 onset_pressure = "{onset}"    # {onset_ends}
 hardness = "{hardness}"    # {hardness_ends}
-pile_up = {pile_up.value:.4g}    # {pile_up.low:.3g} to {pile_up.high:.3g}
+pile_up = {self.pile_up.value:.4g}    # {self.pile_up.low:.3g} to {self.pile_up.high:.3g}
 """
 
     def rows(self) -> list[tuple[str, str, str]]:
@@ -123,12 +122,11 @@ pile_up = {pile_up.value:.4g}    # {pile_up.low:.3g} to {pile_up.high:.3g}
             "reduced modulus E*": self.modulus,
             "E of the sphere": self.sphere_modulus,
         }
-        pile_up = self.pile_up
         misfit = f"{self.misfit * 1e6:.2g} um"
-        ends = f"{pile_up.low:.4g} to {pile_up.high:.4g}"
+        ends = f"{self.pile_up.low:.4g} to {self.pile_up.high:.4g}"
         return [
             *((name, *number.in_gpa()) for name, number in moduli.items() if number),
-            ("pile-up", f"{pile_up.value:.4g}", ends),
+            ("pile-up", f"{self.pile_up.value:.4g}", ends),
             ("misfit of the displacement", misfit, f"{self.samples} samples"),
         ]
 
