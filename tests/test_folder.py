@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -156,3 +157,23 @@ def test_the_page_is_drawn_from_results_alone(folder: Path) -> None:
     assert 'href="answers.csv"' in files["report.html"]
     assert 'href="samples.csv"' not in files["report.html"]
     assert write.write_files is write_files
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"schema_version": 3}, "uqsphere {} wrote schema 3, and schema 4 is read here"),
+        ({"schema_version": 3, "versions": None}, "it does not say what wrote it"),
+    ],
+)
+def test_results_of_an_earlier_schema_say_what_wrote_them(
+    folder: Path, change: dict[str, object], says: str
+) -> None:
+    before = json.loads((folder / "results.json").read_text()) | change
+    kept = {name: data for name, data in content(folder).items() if name not in UNLISTED}
+    write_files(folder, kept | {"results.json": json.dumps(before)})
+    for reads in (uqsphere.open_run, lambda place: uqsphere.run(study(), model, out=place)):
+        with pytest.raises(FolderError, match=says.format(uqsphere.__version__)) as caught:
+            reads(folder)
+        assert "Run the study again with --fresh" in str(caught.value)
+    assert uqsphere.run(study(), model, out=folder, fresh=True).decisions

@@ -11,6 +11,7 @@ from uqsphere.quantities import (
     format_estimate,
     format_probability,
     format_probability_estimate,
+    format_share,
     format_value,
     round_conservative,
 )
@@ -26,7 +27,7 @@ from uqsphere.quantities import (
         (1.0, 1.0, 1.0, "100 %"),
         # no value: never "below 100 %"
         (None, 0.9998, 1.0, "above 99.98 %"),
-        (None, 0.99995, 1.0, "above 99.99 %"),
+        (None, 0.99995, 1.0, "above 99.995 %"),
         (None, 0.0, 1e-5, "below 0.001 %"),
         (None, 0.2, 0.4, "20 % to 40 %"),
         (None, 0.0, 1.0, "not known"),
@@ -95,3 +96,15 @@ def test_estimates_have_the_digits_of_their_interval() -> None:
 
 def test_ratios_above_one_are_percentages_too() -> None:
     assert [format_probability(value) for value in (1.0, 1.3, 2.5)] == ["100 %", "130 %", "250 %"]
+
+
+def test_a_probability_next_to_one_is_written_out() -> None:
+    for nines in range(2, 13):
+        text = format_probability(1.0 - 10.0**-nines)
+        assert text == f"99{'.' * (nines > 2)}{'9' * (nines - 2)} %"
+        assert format_share(1.0 - 10.0**-nines) == text
+    assert format_probability(math.nextafter(1.0, 0.0)) == "above 99.9999999999 %"
+    assert format_share(0.0123) == "1.23 %"
+    assert format_probability_estimate(1 - 2.6e-6, 1 - 3.1e-6, 1 - 2.1e-6) == (
+        "99.99974 % (99.99969 to 99.99979 %)"
+    )

@@ -145,7 +145,7 @@ CASES: dict[str, tuple[str, int, str, set[str] | None]] = {
             ("changed", "sed -i s/value/valve/ results.json", "not as it was written"),
             (
                 "of another version",
-                'sed -i s/version.:.3/version\\":1/ results.json; '
+                'sed -i s/version.:.4/version\\":1/ results.json; '
                 "sha256sum results.json > SHA256SUMS",
                 "of another version",
             ),

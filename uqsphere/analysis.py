@@ -30,14 +30,21 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqsphere.arrays import Array, Pair, frozen, special
+from uqsphere.arrays import Array, Pair, as_numbers, frozen, special
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import STRENGTHS, StrengthFit, make_tests
 from uqsphere.uq.foreign import LawLike, as_law, joint_of
-from uqsphere.uq.rows import LARGEST_ANSWER, SMALLEST_ANSWER, as_answers, check_rows, too_small
+from uqsphere.uq.rows import (
+    LARGEST_ANSWER,
+    SMALLEST_ANSWER,
+    as_answers,
+    check_rows,
+    numbers_in,
+    too_small,
+)
 from uqsphere.uq.surrogate import (
     Expansion,
     columns_of,
@@ -155,7 +162,7 @@ def _arrays(x: Any, y: Any, laws: Joint) -> Pair:
         if index is None:
             index = range(len(rows))
         y = in_order_of(y, index, "y")
-    values = np.asarray(y, dtype=float)
+    values = numbers_in(y, "y")
     if values.shape != rows.shape[:1]:
         raise UsageError(f"x (n, d) and y (n,) are required, found {rows.shape} and {values.shape}")
     if not np.isfinite(values).all():
@@ -300,10 +307,10 @@ def _checked(answers: Any, n: int) -> Array:
                 f"the model answers {', '.join(map(str, names))}: one output is required"
             )
         answers = answers[names[0]]
-    cells = np.asarray(by_index(answers, n))
+    cells = np.asanyarray(by_index(answers, n))
     if cells.dtype.kind not in "fiu":
         raise UsageError(f"the model must answer with real numbers, found {cells.dtype}")
-    values = cells.astype(float)
+    values = np.ma.filled(cells.astype(float), np.nan)
     if values.shape != (n,):
         raise UsageError(f"the model must answer {n} rows with ({n},) values, found {values.shape}")
     return values
@@ -506,7 +513,7 @@ def fragility(
         if len(levels) != 1:
             raise UsageError(f"one free input is required, found {', '.join(levels) or 'none'}")
         laws, (free, values) = joint_of(inputs), *levels.items()
-        grid = np.asarray(values, dtype=float)
+        grid = as_numbers(values)
         if free in laws.names:
             raise UsageError(f"{free} is free and cannot scatter besides")
         law = float(strength) if isinstance(strength, int | float) else as_law(strength)

@@ -60,6 +60,28 @@ class _Special:
 special = _Special()
 
 
+def as_numbers(cells: Any) -> Array:
+    """Real numbers of any shape; None is nan.
+
+    Raises TypeError and ValueError for what are none: dates and durations, complex and masked
+    ones, which NumPy would take, too.
+
+    >>> as_numbers([1, None])
+    array([ 1., nan])
+    """
+    if isinstance(cells, np.ma.MaskedArray):
+        raise TypeError("masked arrays are not taken: leave out the rows that are masked")
+    cells = np.asarray(cells)
+    entries = cells.ravel().tolist() if cells.dtype == object else [cells]
+    kinds = {np.asarray(entry).dtype.kind for entry in entries}
+    if "c" in kinds:
+        raise TypeError("found complex numbers: choose their real part or size")
+    if kinds & {"m", "M"}:
+        raise TypeError("found dates or durations: give numbers, such as hours from the start")
+    numbers: Array = cells.astype(float)
+    return numbers
+
+
 def is_labelled(value: Any) -> bool:
     """Whether something is an array of xarray."""
     return all(hasattr(value, name) for name in ("dims", "coords", "to_series", "sel"))

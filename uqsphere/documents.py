@@ -225,9 +225,13 @@ def lines_of(text: str) -> dict[str, int]:
     return lines
 
 
+_PART = r"""(?:"([^"]*)"|'([^']*)'|([\w-]+))"""
+_PATH = re.compile(rf"{_PART}(?:\s*\.\s*{_PART}|\[\d+\])*")
+
+
 def _parts(text: str) -> tuple[str, ...]:
     """The parts of a dotted key."""
-    return tuple(map("".join, re.findall(r'"([^"]*)"|\'([^\']*)\'|([\w-]+)', text)))
+    return tuple(map("".join, re.findall(_PART, text)))
 
 
 def located(text: str, faults: Iterable[Fault], overridden: Iterable[str]) -> list[Problem]:
@@ -261,7 +265,7 @@ def set_value(data: dict[str, Any], text: str) -> str:
     path, sign, value = (part.strip() for part in text.partition("="))
     parts = _parts(path)
     place = list[str | int]()
-    if not sign or not parts:
+    if not (sign and _PATH.fullmatch(path)):
         raise UsageError(
             f"--set needs PATH=VALUE, such as striker.speed=0.6 m/s, not {shown(text)}"
         )
@@ -277,6 +281,8 @@ def set_value(data: dict[str, Any], text: str) -> str:
                     node.setdefault(place[-1], {})
                 node = node[place[-1]]
             place.append(int(part) if isinstance(node, list) and part.isdecimal() else part)
+        if place[:-1] == ["inputs"] and place[1] not in node:
+            raise LookupError  # no model reads what its study does not name
         if value == "null":
             del node[place[-1]]
         else:

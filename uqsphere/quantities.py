@@ -15,6 +15,8 @@ from uqsphere.mechanics.inputs import INPUTS as INPUTS
 from uqsphere.mechanics.outputs import OUTPUTS as OUTPUTS
 from uqsphere.units import UNITS, Quantity
 
+#: a probability next to 1, beyond which its complement has no two digits
+_LARGEST_WRITTEN = 1.0 - 1e-12
 #: smaller unit for values below one display unit
 SMALLER = {"m": "mm", "kN": "N"}
 
@@ -145,6 +147,15 @@ def _significant(value: float, digits: int, direction: int) -> float:
     return float(f"{whole(value / step - 1e-9 * direction) * step:.{digits}g}")
 
 
+def format_share(share: float) -> str:
+    """Text of a probability that was asked for, in per cent with all its digits.
+
+    >>> [format_share(p) for p in (0.0125, 1.0 - 1e-6, 2.6e-9)]
+    ['1.25 %', '99.9999 %', '2.6e-7 %']
+    """
+    return f"{100.0 * share:.15g} %".replace("e-0", "e-")
+
+
 def format_probability(
     value: float | None, high: float | None = None, low: float | None = None
 ) -> str:
@@ -153,8 +164,8 @@ def format_probability(
     It is never rounded to 0 or 100 %.  With the ends of its interval, 0 is "below" the upper and 1
     "above" the lower end; without a value the ends themselves are given.
 
-    >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 0.99996, 0.0)]
-    ['3.3 %', '2.6e-5 %', '99.974 %', 'above 99.99 %', '0 %']
+    >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 1.0 - 2.6e-7, 0.0)]
+    ['3.3 %', '2.6e-5 %', '99.974 %', '99.999974 %', '0 %']
     >>> format_probability(0.0, 7.32e-4), format_probability(1.0, 1.0, 0.9998)
     ('below 0.074 %', 'above 99.98 %')
     >>> format_probability(None, 1e-5), format_probability(None, 1.0, 0.9998)
@@ -185,8 +196,8 @@ def _percent(value: float, direction: int = 0, decimals: int | None = None) -> s
     if 0.0 < value < 1e-6:
         mantissa, _, exponent = f"{_significant(100.0 * value, 2, direction):.1e}".partition("e")
         return f"{float(mantissa):g}e{int(exponent)} %"
-    if 0.9999 < value < 1.0:
-        return "above 99.99 %"
+    if _LARGEST_WRITTEN < value < 1.0:
+        return f"above {format_share(_LARGEST_WRITTEN)}"
     digits = 2
     if value >= 1.0:
         # a ratio, such as a coefficient of variation, may exceed 100 %

@@ -109,7 +109,7 @@ def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:
         rest = heading[gap.end() :].strip()
         if not name or rest.isdigit() or _is_open(name) or factor_in_heading(name):
             continue
-        if name.endswith((" per", "_per")):
+        if name.endswith((" per", "_per")) or ("/" in gap[0] and _is_compound(name, dimension)):
             break
         if rest == "in" and not set("/,") & set(gap[0]):
             continue  # the inner diameter D_in is no length in inches
@@ -137,6 +137,15 @@ def _known_unit(text: str, dimension: str) -> str | None:
     return None
 
 
+def _is_compound(name: str, dimension: str) -> bool:
+    """Whether what stands before / is a unit itself: N/mm is none of length, but in "Weg s/mm" and
+    "time t/ms" a symbol stands there.
+    """
+    before = re.split(r"[\s_,(\[]", name)[-1]
+    its_own = before in UNITS[dimension]
+    return (len(before) > 1 or before in "NJ") and before in _ALL_UNITS and not its_own
+
+
 def _is_open(text: str) -> bool:
     """Whether a bracket in a text is not closed."""
     return any(text.count(opens) > text.count(closes) for opens, closes in ("[]", "()"))
@@ -153,7 +162,10 @@ def _unknown_unit(heading: str, dimension: str) -> str:
     if _is_open(heading):
         return "a bracket of its heading is not closed. Quote headings that contain the divider"
     brackets = _BRACKET.findall(heading)
-    text = (brackets or re.split(r"[\s_/,]+", heading))[-1].strip()
+    words = re.split(r"[\s_,]+", heading)
+    if not _is_compound(words[-1].partition("/")[0], dimension):
+        words = words[-1].split("/")
+    text = (brackets or words)[-1].strip()
     factor = factor_in_heading(heading)
     if factor:
         message = (
@@ -170,7 +182,7 @@ def _unknown_unit(heading: str, dimension: str) -> str:
     near = nearest_unit(text, dimension)
     if near:
         return f"{message}; did you mean {near!r}?"
-    return message if brackets else ""
+    return message if brackets or "/" in text else ""
 
 
 def is_comment(line: str) -> bool:
@@ -338,6 +350,11 @@ class Table:
             near = nearest_unit(unit, dimension)
             hint = f"; did you mean {near!r}?" if near else ""
             raise TableError(f"{unit_key} must be one of {allowed}, not {unit!r}{hint}", unit_key)
+        other = next((b for b in _BRACKET.findall(heading) if b in _ALL_UNITS - {"", "-"}), "")
+        if unit and not in_heading and other:
+            raise TableError(
+                f"{heading!r}: {other!r} is not a unit of this column ({allowed})", key
+            )
         if unit and in_heading and units[unit] != units[in_heading]:
             raise TableError(
                 f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key

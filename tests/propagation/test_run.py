@@ -230,6 +230,19 @@ def test_a_range_that_misses_the_target_is_told_and_drawn(
     assert (tmp_path / "out" / "figures" / "fragility.svg").exists()
 
 
+def test_a_margin_that_too_few_rows_tell_is_not_missed_everywhere() -> None:
+    budget = {"evaluations": 20_000}
+    limits = {"high": {"quantity": "y", "strength": 8.0, "target": 1e-4}}
+    margins = {"solve": "a", "between": [-20.0, 20.0]}
+    rough = {"mean": 0.1, "quantile": 0.5, "sobol": 0.5, "probability": 0.5}
+    analysis = {"accuracy": rough, "budget": budget}
+    (decision,) = uqsphere.run(
+        study(limits=limits, margins=margins, analysis=analysis), linear
+    ).results.decisions
+    assert decision.use is None
+    assert [doubt.margin_note for doubt in decision.doubts] == ["too few rows"]
+
+
 def test_a_margin_draws_values_and_points_about_it() -> None:
     margins = {"solve": "a", "between": [-200.0, 200.0], "for_probability": [0.1]}
     run = uqsphere.run(study(margins=margins, analysis={"accuracy": {"probability": 0.02}}), linear)

@@ -12,6 +12,7 @@ from uqsphere.report.sentences import (
     DecisionText,
     all_modes,
     doubt_text,
+    exceedance_name,
     probability_at_target,
 )
 from uqsphere.report.tables import certificate, indices, limits
@@ -394,3 +395,50 @@ def test_the_strength_that_the_plan_needs_is_told(granite: Results) -> None:
     itself = needed.model_copy(update={"joint": False})
     text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": itself}))).next
     assert text.endswith("(here 4 GPa), other modes aside.")
+
+
+def test_a_target_is_told_as_it_was_asked(granite: Results) -> None:
+    p = Range(value=1.0 - 2e-6)
+    text = DecisionText(granite, decision(aim="break", target=1e-6, probability=Range(value=2e-6)))
+    assert text.broken.endswith("99.9998 %. Target: at least 99.9999 %.")
+    assert DecisionText(granite, decision(target=0.0123)).broken.endswith("at most 1.23 %.")
+    assert probability_at_target("survive", Range(value=0.01215), 0.0123) == "just below 1.23 %"
+    assert probability_at_target("survive", p, 1.0 - 1.96e-6) == "just below 99.999804 %"
+
+
+def test_a_limit_that_breaks_nothing_has_a_probability_of_exceedance(granite: Results) -> None:
+    entry = granite.study.limits["crushing"].model_copy(update={"fracture": False})
+    study = granite.study.model_copy(update={"limits": {"crushing": entry}})
+    doubts = [
+        Doubt(
+            code="computation",
+            subject="limits.crushing",
+            target=0.01,
+            margin=0.5,
+            at_plan=Range(value=0.02),
+            governs=True,
+        )
+    ]
+    undecided = decision(verdict="undecided", doubts=doubts)
+    for results, event in ((granite, "fracture probability"), (None, "probability of exceedance")):
+        results = results or granite.model_copy(update={"study": study})
+        (text,) = DecisionText(results, undecided).open
+        assert text.startswith(f"{event} at the planned value up to 2 %")
+        assert exceedance_name(results) == event
+
+
+def test_too_few_rows_are_not_a_target_that_is_missed(granite: Results) -> None:
+    doubt = Doubt(
+        code="computation",
+        subject="limits.crushing",
+        target=0.01,
+        margin=None,
+        margin_note="too few rows",
+    )
+    judged = decision(use=None, blocked_by="limits.crushing", doubts=[doubt])
+    text = DecisionText(granite, judged).sentence
+    assert text.startswith("Too few model runs tell where crushing keeps its target.")
+    assert certificate(granite, judged).rows[0][1] == "not known"
+    study = granite.study.model_copy(update={"modes": {}})
+    alone = granite.model_copy(update={"study": study, "decisions": [judged]})
+    assert limits(alone).rows[0][4:6] == ("not known", "–")

@@ -17,7 +17,7 @@ import pytest
 from uqsphere.documents import MOST_FAULTS
 from uqsphere.errors import UqsphereError
 from uqsphere.study import Study, load_study
-from uqsphere.tables import LARGEST_NUMBER, TableError, read_table
+from uqsphere.tables import LARGEST_NUMBER, TableError, read_table, unit_in_heading
 
 FORCES = (6.1, 7.4, 5.2, 8.3, 6.8, 7.9, 5.9, 6.4, 7.1, 8.8)
 SCENE = """
@@ -161,6 +161,27 @@ def test_a_unit_is_missing_unknown_or_has_a_factor(
     assert words not in refusal(
         lambda: study_of(tmp_path, change, lines=table_of(head=f"{heading},diameter [mm]"))
     )
+
+
+@pytest.mark.parametrize(
+    ("heading", "dimension", "unit"),
+    [
+        ("stress N/mm", "length", None),
+        ("stress_N_mm", "length", None),
+        ("energy J/mm", "length", None),
+        ("speed in/s", "time", None),
+        ("stress N/mm2", "pressure", "N/mm2"),
+        # a symbol and its unit
+        ("Weg s/mm", "length", "mm"),
+        ("time t/ms", "time", "ms"),
+        ("U V/mV", "voltage", "mV"),
+        ("normal force N/kN", "force", "kN"),
+    ],
+)
+def test_a_compound_unit_is_none_of_its_parts(
+    heading: str, dimension: str, unit: str | None
+) -> None:
+    assert unit_in_heading(heading, dimension)[1] == unit
 
 
 def test_a_title_stands_above_the_headings(tmp_path: Path) -> None:

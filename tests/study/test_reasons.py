@@ -158,6 +158,16 @@ REASONS: dict[str, tuple[str, str, str]] = {
         limit('criterion = "specific_energy"\nenergy_is = "ball"\nstrength = "4 J/kg"'),
     ),
     # limits
+    "a limit without a name": (
+        of(PLAIN, "[limits.crushing]", "[limits]"),
+        'must be a table with a name, [limits.NAME], not "p_max"',
+        of(PLAIN, "[limits.crushing]", "[[limits]]"),
+    ),
+    "a law beside a file": (
+        BOX.replace(NORMAL, 'a = { dist = "weibull", file = "a.csv", column = "x" }'),
+        'named by fit, such as fit = "weibull"), not "weibull"',
+        BOX.replace(NORMAL, 'a = { dist = "weibull", column = "x" }'),
+    ),
     "a quantity that breaks nothing": (
         limit('quantity = "rise_time"\nfracture = true\nstrength = "1 ms"'),
         "is not a fracture quantity",
@@ -469,6 +479,20 @@ TABLES: dict[str, tuple[str, Any, str, str, Any]] = {
         "'KN' is not a unit of this column",
         FROM,
         lines(head="forces [KN],diameter [mm]"),
+    ),
+    "a compound unit": (
+        keys().replace('"diameter"', '"stress"'),
+        lines(head="force [kN],stress N/mm"),
+        "'stress N/mm': 'N/mm' is not a unit of this column",
+        keys().replace('"diameter"', '"stress N"'),
+        lines(head="force [kN],stress N/mm"),
+    ),
+    "a unit that contradicts another dimension": (
+        keys('force_unit = "kN"'),
+        lines(head="force [mm],diameter [mm]"),
+        "'force [mm]': 'mm' is not a unit of this column",
+        keys('force_unit = "N"'),
+        lines(),
     ),
     "an unknown unit of a key": (
         keys('force_unit = "KN"'),

@@ -478,3 +478,34 @@ def test_reading_a_study_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("inputs..x2=3", "needs PATH=VALUE"),
+        (".inputs.x2=3", "needs PATH=VALUE"),
+        ("inputs.x2.=3", "needs PATH=VALUE"),
+        ("inputs x2=3", "needs PATH=VALUE"),
+        ("inputs.x3=3", "there is no inputs.x3 in the study; did you mean 'x1'"),
+    ],
+)
+def test_an_override_names_a_number_that_is_there(override: str, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        load_study("study.toml", [override], text=BLACK_BOX)
+    for way in ("inputs.x2=3", "inputs . x2 = 3", "'inputs'.\"x2\"=3"):
+        assert load_study("study.toml", [way], text=BLACK_BOX).fixed == {"x2": 3.0}
+
+
+def test_an_end_of_the_free_number_without_a_scene_has_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    text = BASE.replace('"striker.speed"', '"striker.length"')
+    path.write_text(text.replace('["0.05 m/s", "20 m/s"]', '["0.05 m", "5 m"]'))
+    with pytest.raises(StudyError) as caught:
+        uqsphere.run(load_study(path))
+    line = text[: text.index("between")].count("\n") + 1
+    first, second = str(caught.value).splitlines()
+    assert first.startswith(f"{path}:{line}: margins.between[0]: 50 mm for striker.length: outside")
+    assert second.startswith(
+        f"{path}:{line}: margins.between[1]: 5 m for striker.length: the pulse"
+    )

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import uqsphere
-from uqsphere import analysis
+from uqsphere import Study, analysis
 from uqsphere.errors import UsageError
 from uqsphere.uq.foreign import as_law
 from uqsphere.uq.interop import joint_to_chaospy, load_chaospy
@@ -206,6 +207,59 @@ def test_masked_and_complex_numbers_are_refused() -> None:
         analysis.chaos(masked, OUTPUT, LAWS)
     with pytest.raises(UsageError, match="masked"):
         analysis.chaos(FRAME, np.ma.masked_array(OUTPUT, mask=False), LAWS)
+
+
+@pytest.mark.parametrize(
+    ("column", "says"),
+    [
+        (np.arange("2020-01-01", "2021-01-01", dtype="M8[D]"), "dates or durations"),
+        (np.arange(366).astype("m8[h]"), "dates or durations"),
+        (pd.Series(pd.date_range("2020", periods=366, tz="UTC")), "not 'Timestamp'"),
+        (np.array([np.timedelta64(3, "h")] * 366, dtype=object), "dates or durations"),
+        (np.array([0.5 + 1j] * 366, dtype=object), "complex"),
+    ],
+)
+def test_dates_and_durations_are_no_numbers(column: Any, says: str) -> None:
+    """NumPy turns them into days or nanoseconds."""
+    x = column[:64]
+    y = np.linspace(0.0, 1.0, 64)
+    law = {"a": {"dist": "uniform", "lower": 0, "upper": 1}}
+    study = Study(inputs=law, outputs="y")
+
+    def identity(rows: dict[str, np.ndarray]) -> np.ndarray:
+        return rows["a"]
+
+    calls: list[Callable[[], object]] = [
+        lambda: analysis.chaos(y[:, None], x, law),
+        lambda: analysis.chaos({"a": x}, y, law),
+        lambda: analysis.joint({"a": x}),
+        lambda: analysis.weibull_fit(x),
+        lambda: analysis.weibull_fit(y + 1.0, counts=x),
+        lambda: analysis.fragility(identity, law, levels={"v": x}, strength=1.0),
+        lambda: uqsphere.analyse(study, pd.DataFrame({"a": y, "y": x})),
+        lambda: uqsphere.analyse(study, pd.DataFrame({"a": x, "y": y})),
+        lambda: uqsphere.evaluate(study, {"a": x}, model=identity),
+    ]
+    for call in calls:
+        with pytest.raises(UsageError, match=says):
+            call()
+
+
+def test_masked_answers_are_no_numbers() -> None:
+    """What lies under a mask counted as an answer, or as an observation."""
+    data = np.ma.masked_greater(np.linspace(0.0, 1.0, 16), 0.9)
+    with pytest.raises(UsageError, match="masked"):
+        analysis.joint({"a": data})
+    law = {"a": {"dist": "normal", "mean": 0, "sd": 1}}
+    risk = analysis.failure_probability(
+        lambda rows: np.ma.masked_less(3.0 - rows["a"], 0.0), law, evaluations=2000
+    )
+    assert risk.probability.value is None
+
+
+def test_tests_are_as_many_as_a_table_may_have() -> None:
+    with pytest.raises(UsageError, match="at most 2,000,000 tests"):
+        analysis.weibull_fit([1.0, 2.0], counts=[1e9, 1e9])
 
 
 def test_an_expansion_is_sampled_and_kept_in_a_file(tmp_path: Any) -> None:

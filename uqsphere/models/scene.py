@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from uqsphere.arrays import Array, Names, quiet
+from uqsphere.documents import Fault, refusal
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
 from uqsphere.mechanics import closed_form
@@ -159,23 +160,26 @@ def absent_quantity(study: Study, quantity: str) -> str:
 
 def check_scene(study: Study) -> None:
     """Refuse a quantity that the rig of a study does not have, and a range of the free number at
-    whose ends the scene at its means has no answer. Raises UsageError with the place in the study
-    and the reason."""
+    whose ends the scene at its means has no answer. Raises StudyError with the reasons at their
+    lines.
+    """
+    faults = []
     margins = study.margins
     if margins and margins.solve in INPUTS:
-        for value in margins.between:
+        for index, value in enumerate(margins.between):
             code = scene_of(study, {margins.solve: value}).status[0]
             if code:
-                raise UsageError(
-                    f"margins.between: {format_value(value, margins.solve)} for {margins.solve}: "
-                    f"{STATUS[code]}"
-                )
+                text = f"{format_value(value, margins.solve)} for {margins.solve}: {STATUS[code]}"
+                faults.append(Fault(text, f"margins.between[{index}]"))
     requested = {limit.quantity: f"limits.{limit.name}.quantity" for limit in study.limits}
     requested |= dict.fromkeys(study.analysis.quantities, "analysis.quantities")
     for name, place in requested.items():
         why = absent_quantity(study, name)
         if why:
-            raise UsageError(f"{place}: the rig {study.rig} has no {name} here: {why}. Remove it")
+            faults.append(Fault(f"the rig {study.rig} has no {name} here: {why}. Remove it", place))
+    if faults:
+        overridden = [text.partition("=")[0].strip() for text in study.overrides]
+        raise refusal(study.path, study.text, faults, overridden)
 
 
 def checked_rows(study: Study, names: Names, rows: Array, quantities: Names) -> list[ValidityCheck]:

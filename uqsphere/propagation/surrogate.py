@@ -181,7 +181,17 @@ def tables_of(
                 "Raise analysis.budget or --budget."
             )
         points = _design(design, min(count, MOST_ROWS))
-    rows, stopped = _evaluated(design, model, points, end, progress)
+    most = 0
+    if along:
+        most = min(affordable - points.count, MOST_ROWS)
+
+    def report(done: int) -> None:
+        text = f"{done} of {points.count} runs of the design"
+        if done == points.count and along:
+            text = f"{most} runs along the free number"
+        progress(model.runs, done / (points.count + most), text)
+
+    rows, stopped = _evaluated(design, model, points, end, report)
     slow = _predicted(design, rows)
     compared = None
     margins = design.study.margins
@@ -190,10 +200,10 @@ def tables_of(
     tables: Tables = replace(slow, compared=compared)
     if not along:
         tables = replace(tables, without_line="rows that are given do not vary the free number")
-    most = min(affordable - points.count, MOST_ROWS)
     if along and not stopped:
         try:
             tables = _with_line(tables, model, most)
+            progress(model.runs, 1.0, "all model runs done")
         except Interrupted:
             stopped = "interrupted"
     if tables.line:
@@ -206,9 +216,11 @@ def tables_of(
 
 
 def _evaluated(
-    design: Design, model: Model, points: Sample, end: float, progress: Progress
+    design: Design, model: Model, points: Sample, end: float, report: Callable[[int], None]
 ) -> tuple[Sample, Stop]:
-    """The rows (1, n) of the design that were evaluated, and what ended them early, if anything."""
+    """The rows (1, n) of the design that were evaluated, and what ended them early, if anything;
+    `report` is called with how many there are.
+    """
     parts = list[Sample]()
     done = 0
     count = points.count
@@ -222,7 +234,7 @@ def _evaluated(
             break
         parts.append(part)
         done += part.count
-        progress(model.runs, done / count, f"{done} of {count} runs of the design")
+        report(done)
         if done >= LEAST_ROWS and time.monotonic() > end:
             stopped = "time"
     if done < LEAST_ROWS:

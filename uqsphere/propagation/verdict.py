@@ -384,6 +384,9 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
     note: MarginNote = ""
     if judged.line is not None and doubt.margin is None:
         note = "nowhere"
+        middle = settled.margin(limit, settled.middle(limit))
+        if doubt.code == "computation" and middle is not None:
+            note = "too few rows"
     elif doubt.margin == math.inf:
         note = "everywhere"
     at_number = at_plan = None

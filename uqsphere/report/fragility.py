@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Duo, special
-from uqsphere.quantities import display_unit, format_probability, format_value
+from uqsphere.quantities import display_unit, format_probability, format_share, format_value
 from uqsphere.results.types import Answer, CurvePoint, Decision, FreeNumber, Kind, Results
 
 from .format import Estimated, label, plain_name, small, with_unit
@@ -145,7 +145,7 @@ def draw_fragility(
     for name, entry in results.study.limits.items():
         if entry.has_target and limit in (None, name):
             sign = "≤" if entry.aim == "survive" else "≥"
-            targets[entry.allowable] = f"target {sign} {format_probability(entry.allowable)}"
+            targets[entry.allowable] = f"target {sign} {format_share(entry.allowable)}"
     for p, text in targets.items():
         height = float(special.ndtri(p))
         axes.axhline(height, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))

@@ -10,7 +10,7 @@ from itertools import chain
 
 from uqsphere.documents import listed
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
-from uqsphere.quantities import format_probability, round_conservative
+from uqsphere.quantities import format_probability, format_share, round_conservative
 from uqsphere.results.types import (
     AccuracyEntry,
     Aim,
@@ -186,6 +186,8 @@ class DecisionText:
             tail=tail,
             strength=strengths.get(subject, "strength"),
         )
+        if self.results.study.kind == "black box":
+            text = text.replace("spheres", "specimens")
         if remedy.gains:
             gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
             text += f". The number to use would be about: {'; '.join(gains)}"
@@ -301,6 +303,11 @@ class DecisionText:
             decision = self.decision
             name = capital(plain_name(decision.blocked_by))
             allowed = decision.target or 0.0
+            doubts = [doubt for doubt in decision.doubts if doubt.subject == decision.blocked_by]
+            notes = [doubt.margin_note for doubt in doubts]
+            if "too few rows" in notes and "nowhere" not in notes:
+                subject = plain_name(decision.blocked_by)
+                return f"Too few model runs tell where {subject} keeps its target."
             if any(point.value is not None and point.value < allowed for point in decision.curve):
                 return (
                     f"{name} misses its target at the safe end, or too few model runs tell where "
@@ -320,9 +327,13 @@ class DecisionText:
     @property
     def _event(self) -> str:
         """What the probability of the decision is of."""
-        name = self.decision.governing.removeprefix("limits.")
-        entry = self.results.study.limits.get(name)
-        if entry is None or entry.fracture or any(doubt.joint for doubt in self._governing):
+        joint = any(doubt.joint for doubt in self._governing)
+        return self._event_of(self.decision.governing, joint)
+
+    def _event_of(self, subject: str, joint: bool) -> str:
+        """What the probability by a limit is of, alone or with what adds up to fracture."""
+        entry = self.results.study.limits.get(plain_name(subject))
+        if entry is None or entry.fracture or joint:
             return "fracture probability"
         return "probability of exceedance"
 
@@ -332,8 +343,8 @@ class DecisionText:
         if target is None:
             return "No target is set"
         if self.decision.aim == "break":
-            return f"Target: at least {format_probability(1.0 - target)}"
-        return f"Target: at most {format_probability(target)}"
+            return f"Target: at least {format_share(1.0 - target)}"
+        return f"Target: at most {format_share(target)}"
 
     def _reasons(self) -> Iterator[str]:
         decision = self.decision
@@ -366,7 +377,7 @@ class DecisionText:
                 )
                 if doubt.margin is not None and self._free is not None:
                     at = value(doubt.margin, self._free.quantity)
-                    text += f", in {format_probability(doubt.target)} at {at}"
+                    text += f", in {format_share(doubt.target)} at {at}"
                 yield f"{text} (analysis.damage_counts = true counts it)"
 
     def _undecided(self) -> Iterator[str]:
@@ -378,7 +389,8 @@ class DecisionText:
             p = probability_at_target(aim, worst.at_plan, worst.target)
             side = "down to" if aim == "break" else "up to"
             words = f"({plain_name(worst.subject)}, {_words(worst)[0]})"
-            yield f"fracture probability at the planned value {side} {p} {words}"
+            event = self._event_of(worst.subject, worst.joint)
+            yield f"{event} at the planned value {side} {p} {words}"
 
 
 _REMEDIES = {
@@ -443,10 +455,11 @@ def probability_at_target(aim: Aim, p: Estimated, target: float | None) -> str:
     allowed = as_event(aim, Range(value=target)).value
     if event.value is None or allowed is None or text != format_probability(allowed):
         return text
-    if math.isclose(event.value, allowed, rel_tol=1e-6):
-        return text
+    asked = format_share(allowed)
+    if math.isclose(event.value, allowed, rel_tol=1e-6 * min(1.0, (1.0 - allowed) / allowed)):
+        return asked
     side = "above" if event.value > allowed else "below"
-    return f"just {side} {text}"
+    return f"just {side} {asked}"
 
 
 def limit_notes(results: Results) -> Iterator[str]:
@@ -580,7 +593,7 @@ def shortfall_text(shortfall: Shortfall) -> str:
 
 def chart_title(results: Results) -> str:
     """What the fragility chart shows."""
-    if any(entry.fracture for entry in results.study.limits.values()):
+    if all(entry.fracture for entry in results.study.limits.values()):
         return "Probability of fracture"
     return "Probability of exceedance"
 

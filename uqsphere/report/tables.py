@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.mechanics.failure_modes import FAILURE_MODES
-from uqsphere.quantities import format_probability
+from uqsphere.quantities import format_share
 from uqsphere.results.types import (
     Answer,
     Decision,
@@ -58,6 +58,7 @@ MOST_ROWS, MOST_INPUTS = 16, 40
 _WITHOUT_MARGIN: dict[MarginNote, tuple[float, str]] = {
     "everywhere": (inf, "whole range"),
     "nowhere": (-inf, "none"),
+    "too few rows": (-inf, "not known"),
     "": (-inf, DASH),
 }
 
@@ -229,6 +230,8 @@ def _number_to_use(results: Results, subject: str) -> list[str]:
         notes = {doubt.margin_note for doubt in doubts}
         if "nowhere" in notes:
             return ["none", DASH]
+        if "too few rows" in notes:
+            return ["not known", DASH]
         if margins:
             worst = max if decision.safe_above else min
             text = DecisionText(results, decision)
@@ -314,7 +317,7 @@ def quantities(results: Results) -> PageTable:
         rows.append((title_of(name), mean, sd, *cells))
     return PageTable(
         "Distributions at the plan",
-        ("quantity", "mean", "sd", *(f"{100.0 * p:g} %" for p in places)),
+        ("quantity", "mean", "sd", *map(format_share, places)),
         rows,
         note=f"with {LEVEL_TEXT} sampling intervals",
     )
@@ -365,7 +368,7 @@ def margins(results: Results) -> PageTable:
     body = []
     for p in sorted({*itertools.chain(*asked.values())}):
         margins = (results.get(f"limits.{name}", Kind.MARGIN, p) for name in asked)
-        body.append((format_probability(p), *(estimate(row, free.quantity) for row in margins)))
+        body.append((format_share(p), *(estimate(row, free.quantity) for row in margins)))
     return PageTable(
         f"{capital(free.meaning)} for given {exceedance_name(results)}",
         ("probability", *asked),

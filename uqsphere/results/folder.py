@@ -5,6 +5,7 @@ followed or run.
 import contextlib
 import datetime
 import hashlib
+import json
 import os
 import shutil
 import tempfile
@@ -176,10 +177,25 @@ def read_results(folder: Path) -> Results:
     path = folder / RESULTS
     if path.is_file() and path.stat().st_size > LARGEST:
         raise FolderError(f"{as_text(path)} is larger than any run writes")
+    content = read_checked(folder, RESULTS)
     try:
-        return Results.model_validate_json(read_checked(folder, RESULTS))
+        return Results.model_validate_json(content)
     except ValueError:
-        raise FolderError(f"{as_text(path)} is of another version. {_AGAIN}") from None
+        known = Results.model_fields["schema_version"].default
+        raise FolderError(
+            f"{as_text(path)} is of another version: {_writer(content)}, and schema {known} is "
+            f"read here. {_AGAIN}, or open it with the version that wrote it"
+        ) from None
+
+
+def _writer(content: bytes) -> str:
+    """What wrote a results.json that cannot be read here, as far as it says."""
+    try:
+        written = json.loads(content)
+        version = as_text(written["versions"]["uqsphere"], 40)
+        return f"uqsphere {version} wrote schema {as_text(written['schema_version'], 40)}"
+    except (LookupError, TypeError, ValueError):
+        return "it does not say what wrote it"
 
 
 def damaged_files(folder: Path) -> list[str]:

@@ -344,7 +344,7 @@ DoubtCode = Literal[
 ]
 
 
-MarginNote = Literal["", "everywhere", "nowhere"]
+MarginNote = Literal["", "everywhere", "nowhere", "too few rows"]
 
 
 class Doubt(Part):
@@ -360,7 +360,7 @@ class Doubt(Part):
     margin: Finite
     """free number at the target under this doubt, with the other failure modes"""
     margin_note: MarginNote = ""
-    """why there is no margin: the target is kept everywhere, or nowhere"""
+    """why there is no margin: the target is kept everywhere, or nowhere, or too few rows tell"""
     at_number: Range = Range()
     """failure probability at the number to use"""
     at_plan: Range = Range()
@@ -597,7 +597,7 @@ class AccuracyEntry(Part):
 class Results(Part):
     """Everything that a run tells: results.json."""
 
-    schema_version: Literal[3] = 3
+    schema_version: Literal[4] = 4
     study: StudyEntry
     inputs: dict[str, InputEntry]
     answers: list[Answer]

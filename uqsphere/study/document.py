@@ -250,6 +250,15 @@ class LimitTable(TomlTable):
         return self
 
 
+def _named(raw: Any) -> Any:
+    """The limits by their names; a key of one without a name is told once for all of them."""
+    if isinstance(raw, dict):
+        for key, table in raw.items():
+            if key in LimitTable.model_fields and not isinstance(table, dict):
+                raise Fault(f"must be a table with a name, [limits.NAME], not {shown(table)}", key)
+    return raw
+
+
 _KEYS = {"lower", "upper"}.union(*(family.keys for family in FAMILIES.values()))
 _of_laws: dict[str, Any] = {
     "dist": (Literal[*FAMILIES] | Annotated[str, Field(pattern=r"^scipy\.\w+$")], None),
@@ -428,7 +437,9 @@ class Words(TomlTable):
     model: ModelChoice = ModelChoice.model_construct()
     inputs: dict[Name, Num] = Field(default={}, max_length=1000)
     outputs: Outputs = Outputs.model_construct()
-    limits: dict[Name, LimitTable] = Field(default={}, max_length=200)
+    limits: Annotated[dict[Name, LimitTable], BeforeValidator(_named)] = Field(
+        default={}, max_length=200
+    )
     dependence: Annotated[tuple[DependenceTable, ...], Field(max_length=100, strict=False)] = ()
     gauges: Annotated[tuple[Gauge, ...], Field(max_length=20, strict=False)] = ()
     analysis: Analysis = Analysis.model_construct()

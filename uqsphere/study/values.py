@@ -36,6 +36,7 @@ from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value,
 from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 from uqsphere.uq.fitting import (
+    MOST_TESTS,
     STRENGTHS,
     fitted_law,
     law_of_draws,
@@ -513,7 +514,7 @@ def observations(
         if table.count is not None:
             many = cells.numbers(table.count, key="count")
         cells.refuse("count", "count must be a positive integer", (many < 1.0) | (many % 1.0 > 0.0))
-        cells.refuse("count", "at most two million tests are allowed", np.cumsum(many) > 2e6)
+        cells.refuse("count", "at most two million tests are allowed", np.cumsum(many) > MOST_TESTS)
         for key in columns.keys() & {"force", "diameter"}:
             cells.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
     times = many.astype(int)

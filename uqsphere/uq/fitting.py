@@ -20,12 +20,15 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Duo, Flags, Pair, bundle, frozen, special
+from uqsphere.arrays import Array, Duo, Flags, Pair, as_numbers, bundle, frozen, special
 
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
 from .forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, Function, LawError, bandwidth
 from .law import Law, bounds_of
+
+#: tests of one sample
+MOST_TESTS = 2_000_000
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -304,20 +307,15 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
     [2.0, 1.0, 0.0]
     """
-    for column in (values, stopped, counts):
-        if isinstance(column, np.ma.MaskedArray):
-            raise ValueError("masked arrays are not accepted. Remove the masked values first")
-        if np.asarray(column).dtype.kind == "c":
-            raise ValueError("complex numbers are not accepted. Give real numbers")
-    x = np.array(values, float, ndmin=1)
+    x = np.atleast_1d(as_numbers(values))
     if x.ndim != 1 or x.size == 0:
         raise ValueError("there are no tests: at least two failures are needed")
-    flags = np.zeros(x.size) if stopped is None else np.asarray(stopped)
-    many = np.ones(x.size) if counts is None else np.asarray(counts, float)
+    flags = np.zeros(x.size) if stopped is None else np.asanyarray(stopped)
+    many = np.ones(x.size) if counts is None else as_numbers(counts)
     for name, numbers in (("stopped", flags), ("counts", many)):
         if numbers.shape != x.shape:
             raise ValueError(f"values and {name} differ in number: {x.size} and {numbers.size}")
-    for flag in flags.tolist():
+    for flag in flags.tolist():  # of a mask None
         if flag not in (0, 1):
             raise ValueError(
                 f"stopped must be 0 (failed) or 1 (stopped), found {flag!r}: tests known only to "
@@ -325,6 +323,8 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
             )
     if not (np.isfinite(many) & (many >= 1.0) & (many == np.floor(many))).all():
         raise ValueError("counts must be whole numbers from 1 on")
+    if many.sum() > MOST_TESTS:
+        raise ValueError(f"at most {MOST_TESTS:,} tests are allowed, counts add up to more")
     if not np.isfinite(x).all():
         raise ValueError("the tests hold values that are not finite numbers")
     if x.min() <= 0.0:

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from uqsphere.arrays import as_numbers
+
 from .families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
 from .fitting import fitted_law
 from .forms import Function, LawError
@@ -124,14 +126,19 @@ def as_law(distribution: LawLike) -> Law:
         return _of_scipy(distribution, kind)
     if origin == "chaospy" and hasattr(distribution, "inv"):
         return _of_chaospy(distribution, kind)
+    why = ""
     try:
-        values = np.asarray(distribution, float)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
-    if values.ndim == 1 and values.size >= 2:
-        return fitted_law(values.tolist())
+        values = as_numbers(distribution)
+        if values.ndim == 1 and values.size >= 2:
+            return fitted_law(values.tolist())
+    except TypeError as error:
+        why = f" ({error})"
+    except LawError:
+        raise
+    except ValueError:
+        pass
     raise LawError(
-        f"found {kind}: give a law, its table, a distribution of scipy.stats or chaospy, or "
+        f"found {kind}{why}: give a law, its table, a distribution of scipy.stats or chaospy, or "
         "observations (n,)"
     )
 

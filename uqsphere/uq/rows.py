@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Names, is_labelled
+from uqsphere.arrays import Array, Flags, Names, as_numbers, is_labelled
 from uqsphere.errors import UsageError
 
 from .joint import Joint
@@ -49,7 +49,7 @@ def as_table(rows: Any, names: Names) -> Any:
     """A labelled array or data set of xarray, or a Series of one row, as a DataFrame by the inputs'
     names; anything else as it is.
 
-    Raises UsageError for a labelled array without these labels, masked arrays and complex numbers.
+    Raises UsageError for a labelled array without these labels.
     """
     rows = _of_data_set(rows)
     if hasattr(rows, "to_frame") and hasattr(rows, "index"):
@@ -66,9 +66,7 @@ def as_table(rows: Any, names: Names) -> Any:
 
 
 def _of_data_set(cells: Any) -> Any:
-    """A data set of xarray as a DataFrame; masked arrays are refused, anything else as it is."""
-    if isinstance(cells, np.ma.MaskedArray):
-        raise UsageError("masked arrays are not taken: leave out the rows that are masked")
+    """A data set of xarray as a DataFrame, anything else as it is."""
     if hasattr(cells, "data_vars"):
         return cells.to_dataframe()[[*cells.data_vars]]
     return cells
@@ -77,7 +75,7 @@ def _of_data_set(cells: Any) -> Any:
 def as_answers(y: Any) -> Any:
     """Answers as a Series where they have labels, else as an array.
 
-    Raises UsageError for several columns, masked arrays and complex numbers.
+    Raises UsageError for several columns.
     """
     y = _of_data_set(y)
     if is_labelled(y):
@@ -86,9 +84,15 @@ def as_answers(y: Any) -> Any:
         if y.shape[1] != 1:
             raise UsageError(f"y is one output, found the columns {', '.join(map(str, y.columns))}")
         y = y.iloc[:, 0]
-    if np.iscomplexobj(y):
-        raise UsageError("y must be real, found complex numbers: choose their real part or size")
     return y
+
+
+def numbers_in(cells: Any, what: str) -> Array:
+    """The real numbers of a column that a message calls `what`; UsageError where it has others."""
+    try:
+        return as_numbers(cells)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"no columns of numbers ({what}): {error}") from error
 
 
 def check_rows(x: Array, joint: Joint) -> None:

@@ -36,7 +36,7 @@ from .joint import Copula, Joint
 from .law import Law
 from .points import random_generator
 from .response import Fold, Response, cross_fit
-from .rows import as_table, beyond
+from .rows import as_table, beyond, numbers_in
 from .shapley import dependent_shares
 
 if TYPE_CHECKING:
@@ -86,23 +86,15 @@ def columns_of(rows: Any, names: Names) -> Array:
         columns = []
         for name in names:
             column = _series(rows[name])
-            if isinstance(column, np.ma.MaskedArray):
-                raise UsageError(f"column {name!r} is masked: leave out the rows that are masked")
             if hasattr(column, "reindex") and not column.index.equals(index):
                 column = in_order_of(column, index, f"the column {name!r}")
-            columns.append(column)
+            columns.append(np.atleast_1d(numbers_in(column, f"column {name!r}")))
         try:
-            rows = np.column_stack(np.broadcast_arrays(*map(np.atleast_1d, columns)))
+            rows = np.column_stack(np.broadcast_arrays(*columns))
         except ValueError as error:
-            sizes = ", ".join(str(np.size(column)) for column in columns)
+            sizes = ", ".join(str(column.size) for column in columns)
             raise UsageError(f"the columns differ in length: {sizes}") from error
-    try:
-        x = np.asarray(rows)
-        if np.iscomplexobj(x):
-            raise TypeError("complex numbers")
-        x = x.astype(float)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"the rows are no columns of numbers: {error}") from error
+    x = numbers_in(rows, "an array of rows")
     if x.ndim != 2 or x.shape[1] != len(names):
         raise UsageError(f"rows of shape (n, {len(names)}) are required, found {x.shape}")
     if not np.isfinite(x).all():
