@@ -556,6 +556,11 @@ def test_answers_that_are_no_real_numbers_are_refused(value: Any, text: str) -> 
         call_black_box(lambda x: {"y": value}, ("a",), np.zeros((2, 1)), ("y",))
 
 
+def test_a_model_without_a_return_is_refused() -> None:
+    with pytest.raises(ModelError, match="must return a dict with 'y', .* not NoneType"):
+        call_black_box(lambda x: None, ("a",), np.zeros((2, 1)), ("y",))
+
+
 def test_a_labelled_array_without_the_names_of_the_outputs_is_refused() -> None:
     named = _by_name({"a": np.zeros(2), "b": np.zeros(2)}, ("y", "z"))
     unnamed = named.assign_coords(output=["p", "q"])

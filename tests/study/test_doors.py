@@ -184,6 +184,36 @@ def test_a_compound_unit_is_none_of_its_parts(
     assert unit_in_heading(heading, dimension)[1] == unit
 
 
+@pytest.mark.parametrize(
+    ("key", "cells", "bounds", "says"),
+    [
+        ("strength", "s [GPa]\n4\n-4\n5\n6\n", "", "line 3: the strength against p_hertz must be"),
+        ("strength", "s [GPa]\n4\n7\n5\n6\n", 'lower = "5 GPa"', "from 4e+09 to 7e+09 lie outside"),
+        ("strength", "s [GPa]\n4\n7\n5\n6\n", 'upper = "6 GPa"', "from 4e+09 to 7e+09 lie outside"),
+        ("radius", "s [mm]\n9\n0\n10\n11\n", "", "line 3: radius of the sphere must be above 0"),
+    ],
+)
+def test_an_observation_has_a_meaning_and_lies_within_its_bounds(
+    tmp_path: Path, key: str, cells: str, bounds: str, says: str
+) -> None:
+    """The law was cut, though the tests show what was cut off."""
+    number = ", ".join(filter(None, ['{ file = "tests.csv", column = "s"', bounds])) + " }"
+    old = SCENE[SCENE.index(f"{key} =") :].partition("\n")[0]
+    text = SCENE.replace(old, f"{key} = {number}")
+    (tmp_path / "tests.csv").write_text(cells)
+    assert says in refusal(lambda: load_study(tmp_path / "study.toml", text=text))
+
+
+def test_a_rate_of_tests_is_not_negative(tmp_path: Path) -> None:
+    rate = ('platens = "rigid"', 'platens = "rigid", rate = "rate"')
+    rows = [f"{force},20,{k - 1}" for k, force in enumerate(FORCES)]
+    lines = ["force [kN],diameter [mm],rate [kN/s]", *rows]
+    text = refusal(lambda: study_of(tmp_path, rate, lines=lines))
+    assert "line 2: the rate must be above 0" in text
+    lines[1] = "6,20,0"
+    assert study_of(tmp_path, rate, lines=lines).limits
+
+
 def test_a_title_stands_above_the_headings(tmp_path: Path) -> None:
     change = ('"tests.csv"', '"tests.xlsx"')
     rows: list[list[Any]] = [[], [None, "Campaign of May"], [], [None, "force", "diameter"]]

@@ -487,7 +487,7 @@ def test_reading_a_study_imports_nothing_heavy() -> None:
         (".inputs.x2=3", "needs PATH=VALUE"),
         ("inputs.x2.=3", "needs PATH=VALUE"),
         ("inputs x2=3", "needs PATH=VALUE"),
-        ("inputs.x3=3", "there is no inputs.x3 in the study; did you mean 'x1'"),
+        ("inputs.x22=3", "there is no inputs.x22 in the study; did you mean 'x2'"),
     ],
 )
 def test_an_override_names_a_number_that_is_there(override: str, says: str) -> None:

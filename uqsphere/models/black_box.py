@@ -140,7 +140,7 @@ def _answers(returned: Any, count: int, outputs: Names) -> Array:
         shape = getattr(returned, "shape", ())
         if shape == (count, len(outputs)):
             returned = dict(zip(outputs, np.asanyarray(returned).T, strict=True))
-        elif len(outputs) == 1:
+        elif len(outputs) == 1 and returned is not None:
             returned = {outputs[0]: returned}
         else:
             form = type(returned).__name__

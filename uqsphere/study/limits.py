@@ -27,6 +27,7 @@ from .plausibility import like_material
 from .study import DEFAULT_TARGET, Draft, Limit
 from .values import (
     FARTHEST_SIZE,
+    TESTS,
     Number,
     Observations,
     Tested,
@@ -254,9 +255,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
         )
     platens = _platens(draft, table.platens)
     sphere = _sphere(draft, platens)
-    cells, lines, columns, stopped = observations(
-        table, draft, force="force", diameter="length", rate="loading_rate"
-    )
+    cells, lines, columns, stopped = observations(table, draft, **TESTS)
     force = columns["force"]
     diameter = columns["diameter"]
     rate = columns.get("rate")

@@ -50,6 +50,12 @@ if TYPE_CHECKING:
     from .document import PulseTable
     from .study import Draft
 
+#: what tests of spheres have
+TESTS = {
+    "force": Quantity(name="force", dimension="force", meaning="the force"),
+    "diameter": Quantity(name="diameter", dimension="length", display="mm", meaning="the diameter"),
+    "rate": Quantity(name="rate", dimension="loading_rate", meaning="the rate", closed=True),
+}
 #: a share of a law outside what has a meaning that is worth a warning
 NOTABLE = 1e-6
 #: fewer observations than these are worth a warning
@@ -424,7 +430,7 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
             "forces at failure are used only for the strength of a limit of the impact model",
             "force",
         )
-    cells, lines, columns, stopped = observations(table, draft, column=quantity.dimension)
+    cells, lines, columns, stopped = observations(table, draft, column=quantity)
     bounds = [
         None if end is None else value_of(end, quantity, bounded=False)
         for end in (table.lower, table.upper)
@@ -486,7 +492,7 @@ def _drawn(table: Observations, quantity: Quantity, draft: "Draft") -> Number:
 
 
 def observations(
-    table: Observations, draft: "Draft", **dimensions: str
+    table: Observations, draft: "Draft", **asked: Quantity
 ) -> tuple[Table, Places, dict[str, Array], Flags]:
     """Tests of a file by the keys that name its columns: the table, the line of each test, columns
     and stops (n,).
@@ -494,19 +500,21 @@ def observations(
     A row is as many tests as its count says; a key that the table lacks has no column.  Raises
     Fault.
     """
-    for key in ("file", *dimensions):
+    for key in ("file", *asked):
         if getattr(table, key) is None and key in _EXAMPLES:
             raise Fault(f'{key} is missing. Add it, for example {key} = "{_EXAMPLES[key]}"')
     columns = {}
     with opened(table, draft) as cells:
-        for key, dimension in dimensions.items():
+        for key, quantity in asked.items():
             name = getattr(table, key)
             unit = getattr(table, f"{key}_unit", table.unit)
             if key == "diameter" and name[:1].isdigit():
-                with within("diameter"):
-                    columns[key] = np.full(len(cells), value_of(name, INPUTS["bars.diameter"]))
+                with within(key):
+                    columns[key] = np.full(len(cells), value_of(name, quantity))
             elif name is not None:
-                columns[key] = cells.numbers(name, dimension, unit, key=key)
+                values = columns[key] = cells.numbers(name, quantity.dimension, unit, key=key)
+                wrong = ~(quantity.allows(values) | np.isnan(values))
+                cells.refuse(key, format_bounds(quantity), wrong)
         stopped = np.zeros(len(cells), bool)
         many = np.ones(len(cells))
         if table.censored is not None:
@@ -515,8 +523,6 @@ def observations(
             many = cells.numbers(table.count, key="count")
         cells.refuse("count", "count must be a positive integer", (many < 1.0) | (many % 1.0 > 0.0))
         cells.refuse("count", "at most two million tests are allowed", np.cumsum(many) > MOST_TESTS)
-        for key in columns.keys() & {"force", "diameter"}:
-            cells.refuse(key, f"the {key} must be above 0", columns[key] <= 0.0)
     times = many.astype(int)
     columns = {key: column.repeat(times) for key, column in columns.items()}
     return cells, cells.lines.repeat(times), columns, stopped.repeat(times)

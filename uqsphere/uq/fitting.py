@@ -466,6 +466,13 @@ def fitted_law(
         raise LawError("the observations hold values that are not finite numbers", "column")
     elif values[0] == values[-1]:
         raise LawError(f"all {values.size} observations are equal: there is no scatter", "column")
+    for key, outside in (("lower", values[0] < a), ("upper", values[-1] > b)):
+        if outside:
+            raise LawError(
+                f"observations from {values[0]:g} to {values[-1]:g} lie outside [{a:g}, {b:g}]: "
+                "leave them out, or change the bound",
+                key,
+            )
     if how == "kde" and values.size > MOST_KERNELS:
         raise LawError(f'{values.size} observations: use fit = "steps" above {MOST_KERNELS}', "fit")
     family = FAMILIES.get(how, FAMILIES["empirical"])
