@@ -384,6 +384,8 @@ def _text(kind: Any, fault: Any, place: Place) -> str:
     if fault["type"] == "value_error":
         return str(fault["ctx"]["error"])
     if fault["type"] == "missing":
+        if name.isdigit():
+            return "a value is missing here"
         parts = [f"{name} is missing", kind.model_fields[name].description]
         return ": ".join(filter(None, parts)).replace("`", "")
     if fault["type"] == "extra_forbidden":

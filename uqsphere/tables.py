@@ -334,7 +334,9 @@ class Table:
         allowed = typed_units(dimension)
         unit_key = _UNIT_KEYS.get(key, "units")
         in_heading = unit_in_heading(heading, dimension)[1]
-        if not (unit or in_heading):
+        bracket = _BRACKET.search(heading)
+        other = bracket is not None and bracket[1] in _ALL_UNITS - {"", "-"}
+        if not in_heading and (other or not unit):
             wrong = _unknown_unit(heading, dimension)
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
@@ -350,11 +352,6 @@ class Table:
             near = nearest_unit(unit, dimension)
             hint = f"; did you mean {near!r}?" if near else ""
             raise TableError(f"{unit_key} must be one of {allowed}, not {unit!r}{hint}", unit_key)
-        other = next((b for b in _BRACKET.findall(heading) if b in _ALL_UNITS - {"", "-"}), "")
-        if unit and not in_heading and other:
-            raise TableError(
-                f"{heading!r}: {other!r} is not a unit of this column ({allowed})", key
-            )
         if unit and in_heading and units[unit] != units[in_heading]:
             raise TableError(
                 f"{unit_key} is {unit!r}, but the heading {heading!r} has {in_heading!r}", unit_key

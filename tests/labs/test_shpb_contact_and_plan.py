@@ -15,8 +15,11 @@ from scipy.stats import weibull_min
 
 import uqsphere
 from uqsphere.cli import main
-from uqsphere.errors import UsageError
+from uqsphere.documents import load_document
+from uqsphere.errors import StudyError, UsageError
+from uqsphere.labs.comminution.document import ComminutionDocument
 from uqsphere.labs.shpb.contact import ContactDocument, face_approach, fit_contact
+from uqsphere.labs.shpb.document import RecordDocument
 from uqsphere.labs.shpb.plan import PlanDocument, plan_test
 from uqsphere.mechanics.contact import hertz_constant
 from uqsphere.mechanics.yielding import Face
@@ -251,3 +254,23 @@ def test_plan_and_run_give_the_same_heights_for_tests_of_spheres_whose_modulus_s
         (margin,) = margins[at == wanted["share"]]["value"]
         assert low <= height <= high
         assert height == pytest.approx(margin, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("lab", "text", "says"),
+    [
+        (ContactDocument, 'file = "x.csv"\ndiameter = "1 mm"\nplatens = "stel"', "mean 'steel'"),
+        (PlanDocument, 'study = "s.toml"\nbetween = []', "between[1]: a value is missing here"),
+        (RecordDocument, '[incident_bar]\nmaterial = ["steel"]', "material must be one of"),
+        (ComminutionDocument, "[product]\nalpha = -1.0", "product.alpha: must be greater than 0"),
+        (ComminutionDocument, "[feed.sizes]\nn = inf", "feed.sizes.n: must be a finite number"),
+    ],
+)
+def test_a_wrong_key_of_a_lab_is_told_by_its_line(
+    tmp_path: Path, lab: Any, text: str, says: str
+) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text(text)
+    with pytest.raises(StudyError) as caught:
+        load_document(path, lab)
+    assert says in str(caught.value)

@@ -35,7 +35,7 @@ Time = Annotated[float, in_unit("time")]
 class Section(TomlTable):
     """A table of an input file."""
 
-    model_config = ConfigDict(strict=False, allow_inf_nan=True)
+    model_config = ConfigDict(strict=False)
 
 
 def from_library(raw: Any, *kinds: str) -> Any:
@@ -43,7 +43,7 @@ def from_library(raw: Any, *kinds: str) -> Any:
     if not isinstance(raw, dict) or raw.get("material") is None:
         return raw
     materials = materials_of(*kinds)
-    if raw["material"] not in materials:
+    if str(raw["material"]) not in materials:
         raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
     properties = materials[raw["material"]].properties
     known = {key: properties[key].text for key in ("E", "nu", "density") if key in properties}

@@ -186,8 +186,6 @@ class DecisionText:
             tail=tail,
             strength=strengths.get(subject, "strength"),
         )
-        if self.results.study.kind == "black box":
-            text = text.replace("spheres", "specimens")
         if remedy.gains:
             gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
             text += f". The number to use would be about: {'; '.join(gains)}"
@@ -303,11 +301,6 @@ class DecisionText:
             decision = self.decision
             name = capital(plain_name(decision.blocked_by))
             allowed = decision.target or 0.0
-            doubts = [doubt for doubt in decision.doubts if doubt.subject == decision.blocked_by]
-            notes = [doubt.margin_note for doubt in doubts]
-            if "too few rows" in notes and "nowhere" not in notes:
-                subject = plain_name(decision.blocked_by)
-                return f"Too few model runs tell where {subject} keeps its target."
             if any(point.value is not None and point.value < allowed for point in decision.curve):
                 return (
                     f"{name} misses its target at the safe end, or too few model runs tell where "
@@ -404,9 +397,9 @@ _REMEDIES = {
     ),
     "widen the range": "Widen margins.between, or change the demand",
     "measure the strength": "Measure the {strength} ({subject}) of this rock",
-    "test more": "Test more spheres for {subject}",
+    "test more": "Make more tests for {subject}",
     "test the lower tail": (
-        "Test more spheres for {subject}: the {tail} tail of the strength decides"
+        "Make more tests for {subject}: the {tail} tail of the strength decides"
     ),
     "yielding contacts": 'Let the contacts yield: [contact] law = "plastic"',
     "check the input": "Check {subject}",
@@ -455,11 +448,11 @@ def probability_at_target(aim: Aim, p: Estimated, target: float | None) -> str:
     allowed = as_event(aim, Range(value=target)).value
     if event.value is None or allowed is None or text != format_probability(allowed):
         return text
-    asked = format_share(allowed)
-    if math.isclose(event.value, allowed, rel_tol=1e-6 * min(1.0, (1.0 - allowed) / allowed)):
-        return asked
+    text = format_share(allowed)
+    if math.isclose(p.value or 0.0, target or 0.0, rel_tol=1e-6):
+        return text
     side = "above" if event.value > allowed else "below"
-    return f"just {side} {asked}"
+    return f"just {side} {text}"
 
 
 def limit_notes(results: Results) -> Iterator[str]:

@@ -192,7 +192,7 @@ class ProductTable(Section):
     A: Annotated[float, in_unit("number"), Field(gt=0.0, le=1.0)]
     b: Annotated[Positive, in_unit("mass_per_energy")]
     curve: Literal["trr", "milin"] = "trr"
-    alpha: float | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)
+    alpha: Positive | Lognormal = Lognormal(log_mean=-0.5108, log_sd=0.25)
 
 
 class ComminutionDocument(Section):

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from uqsphere.arrays import Array, Values, frozen
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
-from uqsphere.materials import materials_of
+from uqsphere.materials import library, materials_of
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
 from uqsphere.uq import student
@@ -64,7 +64,7 @@ class ContactDocument(Section):
     displacement_unit: str = ""
     force_unit: str = ""
     machine_stiffness: Stiffness = math.inf
-    platens: str = "rigid"
+    platens: Literal["rigid", *materials_of("bars", "plates")] = "rigid"  # type: ignore[valid-type]
     nu: PoissonRatio = 0.25
     pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
     compression: Literal["positive", "negative"] = "positive"
@@ -283,12 +283,8 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
     soft = 0.0
     sphere_modulus = None
     if asked.platens != "rigid":
-        materials = materials_of("bars", "plates")
-        if asked.platens not in materials:
-            raise UsageError(
-                f"platens must be rigid or one of {', '.join(materials)}, not {asked.platens!r}"
-            )
-        plate = {key: entry.value for key, entry in materials[asked.platens].properties.items()}
+        properties = library()[asked.platens].properties
+        plate = {key: entry.value for key, entry in properties.items()}
         soft = (1.0 - plate["nu"] ** 2) / plate["E"]
         if onset.high > 1.2 * plate.get("yield_strength", math.inf):
             notes.append(
