@@ -398,12 +398,11 @@ def test_the_strength_that_the_plan_needs_is_told(granite: Results) -> None:
 
 
 def test_a_target_is_told_as_it_was_asked(granite: Results) -> None:
-    p = Range(value=1.0 - 2e-6)
     text = DecisionText(granite, decision(aim="break", target=1e-6, probability=Range(value=2e-6)))
     assert text.broken.endswith("99.9998 %. Target: at least 99.9999 %.")
     assert DecisionText(granite, decision(target=0.0123)).broken.endswith("at most 1.23 %.")
     assert probability_at_target("survive", Range(value=0.01215), 0.0123) == "just below 1.23 %"
-    assert probability_at_target("survive", p, 1.0 - 1.96e-6) == "just below 99.999804 %"
+    assert probability_at_target("break", Range(value=2.004e-6), 2e-6) == "just below 99.9998 %"
 
 
 def test_a_limit_that_breaks_nothing_has_a_probability_of_exceedance(granite: Results) -> None:
