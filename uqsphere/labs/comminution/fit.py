@@ -312,12 +312,11 @@ def _shows_scatter(tests: Specimens) -> bool:
     broke another of its size."""
     if tests.repeated.any() or len(np.unique(tests.last[tests.exact])) > 1:
         return True
-    for near in tests.sizes.values():
-        survived = tests.last[near & ~tests.broke]
-        broken = tests.last[near & tests.broke]
-        if survived.max(initial=0.0) >= broken.min(initial=np.inf):
-            return True
-    return False
+    return any(
+        tests.last.max(initial=0.0, where=near & ~tests.broke)
+        >= tests.last.min(initial=np.inf, where=near & tests.broke)
+        for near in tests.sizes.values()
+    )
 
 
 def fit(tests: Specimens, asked: ComminutionDocument) -> Fit:
