@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 from tables_of import tables_of
 
+from uqsphere.propagation.fragility import curve_of
 from uqsphere.propagation.limits import _each_once, failure, limits
 from uqsphere.results.types import Kind
 from uqsphere.study import Study, load_study
@@ -101,6 +102,45 @@ def test_failed_rows_widen_an_interval_by_their_share():
     lost = stats.norm.cdf(-1.5)
     assert estimate.low <= stats.norm.sf(1.5) <= estimate.high
     assert estimate.high - estimate.low == pytest.approx(lost, rel=0.1)
+
+
+@pytest.mark.parametrize("lost", ["failed", "censored"])
+def test_so_they_and_censored_rows_widen_a_margin(lost):
+    """A margin had the interval of the rows that answered, whatever the others might have done."""
+    margins = {"solve": "limits.high.strength", "between": [8.0, 20.0], "for_probability": [0.2]}
+    given = study(13.0, analysis={"on_failure": "bound"}, margins=margins)
+
+    def model(x):
+        failed = (x["load"] < 7.0) & (lost == "failed")
+        return {"y": np.where(failed, np.nan, x["load"])}
+
+    tables = tables_of(given, model)
+    (limit,) = tables.design.limits
+    if lost == "censored":
+        late = tables.sample.answers < 7.0
+        tables = replace(tables, sample=replace(tables.sample, censored=late))
+    found = curve_of(tables, limit)
+    few, many = (10.0 + 2.0 * stats.norm.isf(p) for p in (0.2, 0.2 - stats.norm.cdf(-1.5)))
+    margin = found.values[0.2]
+    assert few < margin.value + 0.02 < many
+    assert (margin.low, margin.high) == pytest.approx((few, many), abs=0.1)
+    assert margin.low < few
+    assert many < margin.high
+    assert all(row[2] <= row[1] <= row[3] for row in found.curve)
+    for value, _, low, high, *_ in found.curve:
+        assert low - 1e-3 <= stats.norm.sf(0.5 * (value - 10.0)) <= high + 1e-3
+    # as many may exceed a strength of 20
+    assert found.curve[-1][3] > stats.norm.cdf(-1.5)
+
+
+def test_a_margin_that_rows_without_an_answer_decide_is_absent():
+    margins = {"solve": "limits.high.strength", "between": [8.0, 20.0], "for_probability": [0.02]}
+    given = study(13.0, analysis={"on_failure": "bound"}, margins=margins)
+    tables = tables_of(given, lambda x: {"y": np.where(x["load"] < 7.0, np.nan, x["load"])})
+    (limit,) = tables.design.limits
+    margin = curve_of(tables, limit).values[0.02]
+    assert margin.value is None
+    assert margin.reason.startswith("censored or failed rows leave it open: no value between")
 
 
 def test_a_strength_that_two_limits_share_counts_once_towards_fracture():
