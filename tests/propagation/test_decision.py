@@ -551,15 +551,18 @@ LIMIT = SimpleNamespace(resistance=1.0, strength=1.0, quantity="y")
 
 @pytest.mark.parametrize("verdict", ["not established", "not met", "undecided"])
 def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
+    governing = SimpleNamespace(code="tests", limit=LIMIT)
     judged: Any = SimpleNamespace(
-        settled=SimpleNamespace(governing=SimpleNamespace(code="tests", limit=LIMIT)),
+        settled=SimpleNamespace(governing=governing),
         line=None,
         contradicted=False,
-        plan=SimpleNamespace(needed=lambda limit, joint: None),
+        plan=SimpleNamespace(needed=lambda doubt, joint: None, governing=governing),
         aim=SimpleNamespace(design=SimpleNamespace(subject=lambda limit: "limits.whole")),
     )
-    caveats = [Caveat(code="rate", subject="limits.whole.strength")]
-    assert verdicts._remedy(judged, verdict, caveats).code == "include the rate"
+    caveats = [Caveat(code="rate", subject=f"limits.{name}.strength") for name in ("who", "whole")]
+    remedy = verdicts._remedy(judged, verdict, caveats)
+    # of the limit that governs, which may take another remedy than the first one
+    assert (remedy.code, remedy.subject) == ("include the rate", "limits.whole.strength")
     assert verdicts._remedy(judged, verdict, []).code == "test more"
 
 
@@ -849,6 +852,84 @@ def test_the_strength_that_the_plan_needs_keeps_the_target_and_no_more() -> None
     shift = 0.5 * (math.log1p(0.04) - SCATTER**2)
     exact = math.exp(float(stats.norm.isf(0.02)) * total + shift)
     assert needed.value == pytest.approx(exact, rel=0.01)
+
+
+def test_the_strength_that_the_plan_needs_is_that_of_the_limit_that_misses() -> None:
+    """Not of the first limit, which keeps the target; a stated strength can be measured."""
+    weak = {"dist": "weibull", "mean": 0.8, "modulus": 8}
+    limits = {"first": limit("survive", 0.02, 9.0), "weak": limit("survive", 0.02, weak)}
+    study = Study(
+        inputs={"load": LOAD}, outputs="y", limits=limits, margins=MARGINS, analysis=LOOSE
+    )
+    results = uqsphere.run(study, doubled).results
+    (decision,) = results.decisions
+    needed = decision.next.needed
+    assert (decision.verdict, decision.next.code) == ("not met", "change the plan")
+    assert needed is not None
+    assert needed.subject == decision.next.subject == "limits.weak"
+    assert needed.value > needed.present == pytest.approx(0.8)
+    (text,) = decision_texts(results)
+    assert "measure the strength of weak. The plan needs a mean strength of" in text.next
+
+
+def test_the_strength_that_the_plan_needs_is_under_the_distribution_that_misses() -> None:
+    """Its own keeps the target, the Weibull one of the same mean and scatter does not."""
+    strength = {"dist": "lognormal", "mean": 2.0, "cov": 0.2}
+    (decision,) = decided({"a": limit("survive", 0.001, strength)}, {**LOAD, "mean": 0.9})
+    needed = decision.next.needed
+    assert decision.verdict == "undecided"
+    assert needed is not None
+    assert needed.value > needed.present
+
+
+TWO = """
+[sphere]
+material = "limestone"
+E = { dist = "lognormal", mean = "60 GPa", cov = 0.15 }
+radius = "10 mm"
+[rig]
+kind = "impact"
+speed = "0.08 m/s"
+[target]
+kind = "thick"
+material = "steel"
+[contact]
+law = "plastic"
+[limits.tied]
+quantity = "p_max"
+strength = { dist = "lognormal", mean = "0.89 GPa", cov = 0.1 }
+strength_is = "hertz"
+target = 0.01
+[limits.core]
+criterion = "core_tension"
+strength = { dist = "weibull", mean = "8.12 MPa", modulus = 8 }
+target = 0.01
+[[dependence]]
+of = ["sphere.E", "limits.tied.strength"]
+spearman = 0.9
+[margins]
+solve = "rig.speed"
+between = ["0.02 m/s", "2 m/s"]
+[analysis]
+failure_modes = "given"
+quantities = ["p_max"]
+accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.2 }
+"""
+
+
+def test_the_number_is_that_of_the_doubt_that_sets_it() -> None:
+    """Most failures are by `core` as computed; `tied` without its dependence goes a little further,
+    which the same two digits do not show.
+    """
+    results = uqsphere.run(load_study("two.toml", text=TWO)).results
+    (decision,) = results.decisions
+    margins = {(row.code, row.subject): row.margin for row in decision.doubts}
+    assert decision.use is not None
+    assert decision.governing == "limits.core"
+    assert decision.use.value == margins["tie", "limits.tied"]
+    (text,) = decision_texts(results)
+    assert text.number(decision.use.value) == text.number(margins["computation", "limits.core"])
+    assert "Core governs; the number is that of tied, with its strength taken as" in text.sentence
 
 
 def test_a_curve_ends_where_rows_fail_and_says_so() -> None:

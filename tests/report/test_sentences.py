@@ -104,6 +104,12 @@ def test_the_probability_by_what_governs_comes_first(granite: Results) -> None:
         "computed, 0.2 %, by your own limits and with all failure modes. Target: at most 1 %."
     )
     assert doubt_text(doubt).endswith("; with the other modes")
+    text = DecisionText(granite, decision(doubts=[doubt.model_copy(update={"sets": True})]))
+    assert ": 2.4 % with what its 20 tests leave open; as computed" in text.broken
+    core = Doubt(code="computation", subject="limits.core", target=0.01, margin=0.66, governs=True)
+    sets = doubt.model_copy(update={"governs": False, "sets": True})
+    text = DecisionText(granite, decision(doubts=[core, sets], governing="limits.core"))
+    assert ": 2.4 % (crushing, with what its 20 tests leave open); as computed" in text.broken
     for change in ({"code": "computation"}, {"at_plan": Range(value=0.001)}):
         milder = DecisionText(granite, decision(doubts=[doubt.model_copy(update=change)]))
         assert "leave open" not in milder.broken
@@ -267,6 +273,9 @@ def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -
     ]
     text = DecisionText(granite, decision(caveats=caveats))
     assert text.open == ["slow tests: set limits.force.rate_0 and set limits.energy.rate_0"]
+    remedy = Remedy(code="include the rate", subject="limits.energy")
+    text = DecisionText(granite, decision(caveats=caveats, next=remedy))
+    assert text.next == "Set limits.energy.rate_0."
 
 
 def test_synthetic_tests_of_several_limits_are_one_clause(granite: Results) -> None:
@@ -395,6 +404,9 @@ def test_the_strength_that_the_plan_needs_is_told(granite: Results) -> None:
     itself = needed.model_copy(update={"joint": False})
     text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": itself}))).next
     assert text.endswith("(here 4 GPa), other modes aside.")
+    other = needed.model_copy(update={"subject": "modes.core tension"})
+    text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": other}))).next
+    assert "The plan needs a mean strength of core tension of 4.5 GPa or more" in text
 
 
 def test_a_target_is_told_as_it_was_asked(granite: Results) -> None:

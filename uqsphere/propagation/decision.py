@@ -89,13 +89,21 @@ class Settled(Curves):
         if self.use is None:
             alike = [doubt for doubt in self.doubts if doubt.margin == self.number]
             return max(alike, key=self._nearness)
-        number = self.line.place_of(self.use)
-        room = CLOSE * np.ptp(self.line.places)
-        return next(
-            doubt
-            for doubt in self.doubts
-            if doubt.margin is not None and abs(self.line.place_of(doubt.margin) - number) <= room
-        )
+        return next(filter(self._sets, self.doubts))
+
+    @property
+    def named(self) -> Doubt:
+        """The doubt that a number is put down to: what governs where its margin is the number."""
+        if self.use is not None and self._sets(self.governing):
+            return self.governing
+        return self.setting
+
+    def _sets(self, doubt: Doubt) -> bool:
+        """Whether the margin of a doubt is the number to use, or as good as that."""
+        if doubt.margin is None:
+            return False
+        apart = self.line.place_of(doubt.margin) - self.line.place_of(self.use)
+        return bool(abs(apart) <= CLOSE * np.ptp(self.line.places))
 
     def _nearness(self, doubt: Doubt) -> float:
         """The share of a target that is used up where doubts are weighed; 1 where it is missed."""

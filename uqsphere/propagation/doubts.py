@@ -345,13 +345,16 @@ class Curves:
             return float(self.line.values[k - 1 + self.safe_above])
         return float(self.line.value_at(brentq(excess, low, high)))
 
-    def needed(self, limit: Limit, *, joint: bool) -> float | None:
-        """What the strength of a limit must be multiplied by to just keep its target at the first
+    def needed(self, doubt: Doubt, *, joint: bool) -> float | None:
+        """What the strength of a doubt must be multiplied by to just keep its target at the first
         value, by itself or with the other failure modes; None where no factor does.
         """
         from scipy.optimize import brentq
 
+        limit = doubt.limit
         state = self.line.state(limit)
+        if doubt.code == "distribution":
+            state = replace(state, strength=doubt.laws[0])
         others = Others()
         if joint:
             others = self.others.get(limit.name, others)

@@ -414,7 +414,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         margin_note=note,
         at_number=Range(value=at_number),
         at_plan=Range(value=at_plan),
-        sets=doubt.key == settled.setting.key,
+        sets=doubt.key == settled.named.key,
         governs=doubt.key == settled.governing.key,
         counts=code != "assumed strength" or limit in [mode.limit for mode in aim.modes],
         joint=code != "assumed strength" and settled.adds_up(limit),
@@ -494,8 +494,10 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     subject = design.subject(governing.limit)
     if verdict == "no target":
         return Remedy(code="set a target", subject=design.subject(judged.lead))
+    # of caveats of a kind, that on the limit that governs
+    ranked = sorted(caveats, key=lambda caveat: not f"{caveat.subject}.".startswith(f"{subject}."))
     for code, cure in _CURES.items():
-        for caveat in caveats:
+        for caveat in ranked:
             if caveat.code == code:
                 return Remedy(code=cure, subject=caveat.subject)
     at_best = None
@@ -511,7 +513,7 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
     if verdict == "met":
         return Remedy(code="nothing")
     deciding = governing
-    if governing.code == "computation":
+    if governing.code == "computation" != settled.setting.code:
         deciding = settled.setting
     if deciding.code == "computation" and verdict == "undecided":
         deciding = _disagreeing(judged)
@@ -531,16 +533,19 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
-    needed = _needed(judged, deciding.limit)
+    needed = _needed(judged)
     return Remedy(code=remedy, subject=subject, at_best=at_best, needed=needed, gains=gains)
 
 
-def _needed(judged: Judged, limit: Limit) -> NeededStrength | None:
-    """The strength of a limit that the plan needs: with the other failure modes, else by itself.
+def _needed(judged: Judged) -> NeededStrength | None:
+    """The strength that the plan needs, of the limit or failure mode by which most failures there
+    are: with the other failure modes, else by itself where it misses its target so.
 
     None of tests: what they leave open is not in it.
     """
     plan = judged.plan
+    doubt = plan.governing
+    limit = doubt.limit
     strength = limit.resistance
     if number_of_tests(strength) is not None:
         return None
@@ -548,11 +553,15 @@ def _needed(judged: Judged, limit: Limit) -> NeededStrength | None:
     if strength is not limit.strength:  # the force of its tests
         quantity = "P_max"
     for joint in (True, False):
-        factor = plan.needed(limit, joint=joint)
-        if factor is not None:
+        factor = plan.needed(doubt, joint=joint)
+        if factor is not None and (joint or (factor > 1.0) == plan.survive):
             present = mean_of(strength)
             return NeededStrength(
-                quantity=quantity, value=factor * present, present=present, joint=joint
+                subject=judged.aim.design.subject(limit),
+                quantity=quantity,
+                value=factor * present,
+                present=present,
+                joint=joint,
             )
     return None
 

@@ -67,8 +67,9 @@ class DecisionText:
         self.aim = f"To {decision.aim}"
         self._free = results.study.free
         self._safe_above = bool(decision.safe_above)
-        #: the doubt that sets the number to use
+        #: the doubt that most failures at the number to use are by, and the one that sets it
         self._governing = [doubt for doubt in decision.doubts if doubt.governs]
+        self._setting = [doubt for doubt in decision.doubts if doubt.sets] or self._governing
 
     def lines(self) -> Iterator[str]:
         """The text of a terminal: one paragraph a line."""
@@ -134,20 +135,23 @@ class DecisionText:
         alone = self._probability(decision.probability)
         text += ": "
         computed = (decision.all_modes or decision.probability).value or 0.0
-        for doubt in self._governing:
-            governing = self._probability(doubt.at_plan)
+        for doubt in self._setting:
+            worst = self._probability(doubt.at_plan)
             worse = (doubt.at_plan.value or 0.0) > computed
             open_ends = doubt.code not in ("computation", "assumed strength")
-            if open_ends and worse and governing != together:
-                text += f"{governing} {_words(doubt)[0]}; as computed, "
+            if open_ends and worse and worst != together:
+                clause = _words(doubt)[0]
+                if doubt.subject != decision.governing:
+                    clause = f"({plain_name(doubt.subject)}, {clause})"
+                text += f"{worst} {clause}; as computed, "
         if decision.all_modes is None:
             text += probability(as_event(decision.aim, decision.probability))
         elif together == alone:
             text += f"{alone}, by your own limits and with {all_modes(decision)}"
         else:
             own = decision.own
-            governs = [(doubt.subject, doubt.code) for doubt in self._governing]
-            if own is not None and (own.subject, own.code) not in governs:
+            sets = [(doubt.subject, doubt.code) for doubt in self._setting]
+            if own is not None and (own.subject, own.code) not in sets:
                 # by the doubt that the sentence names
                 at_plan = probability_at_target(decision.aim, own.at_plan, own.target)
                 if own.code != "computation" and at_plan != alone:
@@ -179,12 +183,15 @@ class DecisionText:
                     )
         if remedy.code == "widen the range" and self._kept_everywhere:
             return "Widen margins.between to find where the target is missed."
+        of = ""
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
+        ways = {caveat.subject: caveat.text.rpartition(": ")[2] for caveat in decision.caveats}
         text = _REMEDIES[remedy.code].format(
             subject=subject,
             tail=tail,
             strength=strengths.get(subject, "strength"),
+            way=capital(ways.get(remedy.subject, "")),
         )
         if remedy.gains:
             gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
@@ -194,10 +201,15 @@ class DecisionText:
             if remedy.code == "measure the strength":
                 text += f", if {subject} never fails"
         if remedy.needed is not None:
-            text += f". {self._needed(remedy.needed)}"
+            name = plain_name(remedy.needed.subject) or subject
+            if remedy.code == "change the plan":
+                text = f"Change the planned value or the target, or measure the strength of {name}"
+            elif name != subject:
+                of = f" of {name}"
+            text += f". {self._needed(remedy.needed, of)}"
         return f"{text}."
 
-    def _needed(self, needed: NeededStrength) -> str:
+    def _needed(self, needed: NeededStrength, of: str) -> str:
         """The strength that the planned value needs, to be compared with a data sheet."""
         survive = self.decision.aim == "survive"
         _, least = round_conservative(
@@ -205,7 +217,7 @@ class DecisionText:
         )
         side = "more" if survive else "less"
         present = value(needed.present, needed.quantity)
-        text = f"The plan needs a mean strength of {least} or {side} (here {present})"
+        text = f"The plan needs a mean strength{of} of {least} or {side} (here {present})"
         return text if needed.joint else f"{text}, other modes aside"
 
     @property
@@ -285,14 +297,6 @@ class DecisionText:
                 text += f"; the number is that of {plain_name(doubt.subject)}"
             text += f", {clause}"
         return f"{text}."
-
-    @property
-    def _setting(self) -> list[Doubt]:
-        """The doubt that sets the number; the one that governs where both give the same."""
-        sets = [doubt for doubt in self.decision.doubts if doubt.sets]
-        if len({self.number(doubt.margin) for doubt in (*sets, *self._governing)}) > 1:
-            return sets
-        return self._governing
 
     @property
     def _why_none(self) -> str:
@@ -404,7 +408,7 @@ _REMEDIES = {
     "yielding contacts": 'Let the contacts yield: [contact] law = "plastic"',
     "check the input": "Check {subject}",
     "replace the synthetic tests": "Replace the synthetic tests by measured ones",
-    "include the rate": "Give {subject} at the strain rate of the rig: rate_0, or dynamic tests",
+    "include the rate": "{way}",
     "leave the model's range": "Choose a plan within the model's range: {subject}",
 }
 

@@ -368,7 +368,7 @@ class Doubt(Part):
     governs: bool = False
     """whether most failures at the number to use are by it"""
     sets: bool = False
-    """whether the number to use is this margin"""
+    """whether the number to use is this margin; of several such, the one that governs"""
     counts: bool = True
     """whether it counts as fracture; damage is shown only"""
     joint: bool = False
@@ -439,6 +439,8 @@ class NeededStrength(Part):
     the least one, for spheres that are to break the largest.
     """
 
+    subject: str = ""
+    """limit or failure mode: that by which most failures at the plan are"""
     quantity: str
     """quantity that it has the unit of"""
     value: float

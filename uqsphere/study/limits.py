@@ -323,7 +323,7 @@ def _warn_of_rate(draft: Draft, limit: Limit) -> None:
         "rate_0" in entry.optional and demand in (name, entry.quantity)
         for name, entry in CRITERIA.items()
     ):
-        way = f"set limits.{limit.name}.rate_0 (110 to 760 1/s)"
+        way = f"set limits.{limit.name}.rate_0 (110 to 760 1/s), or test at the rate of the rig"
     if limit.aim == "survive":
         draft.warn(f"{text}. Ignoring this is conservative; to include it, {way}")
     else:
