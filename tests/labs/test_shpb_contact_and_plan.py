@@ -186,6 +186,30 @@ def test_scatter_widens_the_shares_and_intervals_hold_finer_ones(
     assert all(low < value < high for value, low, high in fine[:6])
 
 
+@pytest.mark.parametrize("chosen", [False, True])
+def test_a_plan_has_every_failure_mode_that_means_fracture(chosen: bool, tmp_path: Path) -> None:
+    """Those with a strength of the library break first; who names limits asks for these alone."""
+    text = STUDY.format(E='"60 GPa"').replace("[sphere]", '[sphere]\nmaterial = "granite"')
+    (tmp_path / "ball.toml").write_text(text)
+    asked = PlanDocument(
+        study="ball.toml",
+        shares=(0.01,),
+        rows=64,
+        points=3,
+        between=("0.05 m/s", "2 m/s"),
+        limits=("crushing",) * chosen,
+    )
+    plan = plan_test(asked, tmp_path)
+    names = ["crushing"]
+    if not chosen:
+        names += [f"{mode} (assumed)" for mode in ("contact crushing", "core tension")]
+        names.append("fracture energy (assumed)")
+        crushed, tension = (plan["shares"][name][-1][0] for name in (names[0], names[2]))
+        assert tension > crushed
+    assert [*plan["shares"]] == [*plan["reached"]] == names
+    assert any("library" in note for note in plan["notes"]) != chosen
+
+
 def test_what_a_plan_cannot_use_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

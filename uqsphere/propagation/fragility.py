@@ -186,7 +186,9 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     """Fragility curves over the free number of a study's margins, as its run computes them.
 
     The strengths of tests, their size effect and the dependence of the inputs count as in
-    `uqsphere.run`; library modes are left out.
+    `uqsphere.run`.  Failure modes with a strength of the library, at the middle of its range, are
+    among the limits as "core tension (assumed)" unless analysis.failure_modes is "given"; those
+    that are damage, not fracture, are left out.
 
     Parameters
     ----------
@@ -209,9 +211,10 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     for name in design.columns:
         outputs[name] = np.stack([sample.outputs(name) for sample in samples])
     asked = margins.for_probability
+    limits = [*study.limits, *(mode.limit for mode in design.modes if mode.counts)]
     return Curves(
         values=np.array([*line]),
         outputs=outputs,
-        limits={limit.name: curve_of(tables, limit, asked) for limit in study.limits},
+        limits={limit.name: curve_of(tables, limit, asked) for limit in limits},
         failed=np.array([sample.failed.mean() for sample in samples]),
     )

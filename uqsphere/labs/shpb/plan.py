@@ -40,7 +40,8 @@ class PlanDocument(Section):
     study : file of the study.
     free : number of the study that is varied; between : lowest and highest value.
     shares : shares of broken spheres whose values are wanted.
-    limits : limits that count (default: all that mean fracture).
+    limits : limits that count (default: all that mean fracture, and the failure modes with a
+        strength of the library).
     rows : samples at every value; points : values.
     """
 
@@ -77,7 +78,9 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         )
     free, low, high = _range(asked, study)
     quantities = ("P_max", *(limit.quantity for limit in limits))
-    counted = {"quantities": (*dict.fromkeys(quantities),), "failure_modes": "given"}
+    counted: JsonObject = {"quantities": (*dict.fromkeys(quantities),)}
+    if asked.limits:
+        counted["failure_modes"] = "given"
     planned = replace(
         study,
         limits=limits,
@@ -94,7 +97,9 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
             value = None if at.value is None else (at.value, at.low, at.high)
             reached[name].append({"share": share, "value": value})
     notes = []
-    if len(limits) > 1:
+    if len(shares) > len(limits):
+        notes.append("assumed: a strength of the library, at its middle, not measured on this rock")
+    if len(shares) > 1:
         notes.append("each failure mode by itself; the share that breaks by any of them is larger")
     notes += [
         f"{limit.name} has the aim to break: the shares are of broken spheres"
