@@ -29,6 +29,7 @@ from uqsphere.propagation.verdict import aim_of, judge
 from uqsphere.report import summary
 from uqsphere.report.fragility import curves_of
 from uqsphere.report.sentences import decision_texts
+from uqsphere.report.tables import limits as limits_table
 from uqsphere.results.types import Caveat, CaveatCode, Decision, Kind
 from uqsphere.study import load_study, shipped_studies
 from uqsphere.uq import Estimate, Law, make_law
@@ -838,6 +839,29 @@ def test_the_safety_factor_is_that_of_the_number_that_people_read() -> None:
     number = float(decision_texts(run.results)[0].use.removeprefix("Use at most ").split()[0])
     assert decision.use.safety_factor == pytest.approx(number, rel=1e-12)
     assert f"safety factor {number:.3g}" in summary(run.results)
+    answers = run.answers.set_index(["subject", "answer", "at"])["value"]
+    assert answers["decision.survive", "number_to_use", "load"] == decision.use.value
+    assert answers["decision.survive", "safety_factor", "load"] == decision.use.safety_factor
+    assert [row.at for row in run.results.where("limits.a", Kind.SAFETY_FACTOR)] == [
+        "strength over demand"
+    ]
+
+
+def test_beta_is_that_of_the_aim_on_the_page_and_in_the_table_of_answers() -> None:
+    """Spheres that are to break, and do not: the failure probability is nearly 1."""
+    study = Study(
+        inputs={"load": LOAD},
+        outputs="y",
+        limits={"a": limit("break", 0.05, {"dist": "lognormal", "mean": 2.0, "cov": 0.2})},
+        analysis=LOOSE,
+    )
+    results = uqsphere.run(study, doubled).results
+    beta = results.get("limits.a", Kind.RELIABILITY_INDEX).value
+    assert beta is not None
+    assert beta < -2.0
+    table = limits_table(results)
+    assert table.rows[0][2] == f"{beta:.2f}"
+    assert "β of not breaking: a" in table.note
 
 
 def test_the_strength_that_the_plan_needs_keeps_the_target_and_no_more() -> None:
@@ -927,6 +951,11 @@ def test_the_number_is_that_of_the_doubt_that_sets_it() -> None:
     assert decision.use is not None
     assert decision.governing == "limits.core"
     assert decision.use.value == margins["tie", "limits.tied"]
+    (fracture,) = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
+    (missed,) = results.where("decision.survive", Kind.FAILURE_PROBABILITY)
+    own = decision.probability
+    for row in (fracture, missed):
+        assert (row.value, row.low, row.high, row.std_error) == (own.value, own.low, own.high, None)
     (text,) = decision_texts(results)
     assert text.number(decision.use.value) == text.number(margins["computation", "limits.core"])
     assert "Core governs; the number is that of tied, with its strength taken as" in text.sentence

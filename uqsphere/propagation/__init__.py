@@ -36,12 +36,12 @@ from .progress import Progress, watched
 from .quantities import distributions, indices, salib_indices
 from .rare import design_points
 from .tables import Tables
-from .verdict import assumed_answers, decision_of, judge
+from .verdict import assumed_answers, by_own_limits, decision_answers, decision_of, judge
 from .write import results_of, samples_of, write_run
 
 __all__ = ["run"]
 
-ANALYSES = (distributions, limits, design_points, fragility, indices, drivers, fracture)
+ANALYSES = (distributions, limits, design_points, fragility, indices, drivers)
 #: changed keys that a refusal names
 SHOWN_CHANGES = 5
 
@@ -158,14 +158,16 @@ def run(
         answers = list[Answer]()
         for analysis in ANALYSES:
             answers += analysis(tables)
+        answers += fracture(tables, by_own_limits(judged))
         answers += salib_indices(tables, evaluator)
         answers += assumed_answers(judged)
+        checked = [*checks(tables, evaluator.notes)]
+        decisions = [decision_of(aim, checked) for aim in judged]
+        answers += decision_answers(design, decisions)
         for runs, error in tables.reached:
             answers.append(
                 number_row("run", "error", runs, error, method="half-width over what is required")
             )
-        checked = [*checks(tables, evaluator.notes)]
-        decisions = [decision_of(aim, checked) for aim in judged]
         took = round(time.monotonic() - started, 2)
         results = results_of(tables, answers, decisions, checked, evaluator, took)
         write_log(out, f"ended: {tables.stopped} after {took:.1f} s")

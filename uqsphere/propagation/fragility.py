@@ -5,7 +5,6 @@ The same points serve every value, so that the curve is smooth; each replicate h
 and their spread is the interval.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -42,7 +41,6 @@ def fragility(tables: Tables) -> Rows:
     # those of the sample where the line moves no row
     along = sum(sample.size for sample in tables.line.values())
     runs = tables.predicted_from or along or tables.runs
-    planned = design.planned
     for limit in design.judged.limits:
         subject = design.subject(limit)
         if margins.limit is None and not tables.line:
@@ -62,18 +60,6 @@ def fragility(tables: Tables) -> Rows:
             )
         for p, estimate in fitted.values.items():
             yield estimate_row(subject, "margin", estimate, p, unit=unit, runs=runs)
-        allowed = fitted.values[limit.allowable]
-        if min(allowed.value or 0.0, planned or 0.0) <= 0.0 or not limit.has_target:
-            continue
-        # the free number over its planned value, or the inverse for a limit that must break
-        values = np.array([allowed.value, allowed.low, allowed.high], float)
-        values[~(values > 0.0)] = math.nan
-        factors = values / planned
-        if limit.aim == "break":
-            factors = planned / values[[0, 2, 1]]
-        yield number_row(
-            subject, "safety_factor", margins.solve, *factors, method=METHOD, runs=runs
-        )
 
 
 def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fragility:

@@ -6,7 +6,7 @@ The moment of fracture is read off the loading of a few hundred spheres, drawn w
 from those that break.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -184,9 +184,11 @@ SPECIMENS, SPHERES = 16, 512
 METHOD = "spheres that break, along their loading"
 
 
-def fracture(tables: Tables) -> Rows:
+def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     """Probability of fracture by any limit, the share of each mode, and time and force at
     fracture.
+
+    judged : the probability that a decision has, by the names of the limits that it is of
     """
     design = tables.design
     limits = _each_once(design.fracture)
@@ -199,7 +201,8 @@ def fracture(tables: Tables) -> Rows:
         common_factor(design, limits),
         generator,
     )
-    exceeded = union.state.failure_of_aim("survive")
+    exceeded = judged.get(frozenset(limit.name for limit in limits))
+    exceeded = exceeded or union.state.failure_of_aim("survive")
     yield estimate_row("fracture", "exceedance_probability", exceeded, runs=tables.runs)
     drawn = union.draw_breaking(SPECIMENS, generator)
     if drawn is None:

@@ -12,7 +12,7 @@ import numpy as np
 from uqsphere.arrays import Array, bundle
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
-from uqsphere.quantities import round_conservative
+from uqsphere.quantities import lookup, round_conservative
 from uqsphere.results import types
 from uqsphere.results.answers import Rows, number_row
 from uqsphere.results.types import (
@@ -214,6 +214,7 @@ def _added(estimate: Estimate, more: Array) -> Estimate:
     return replace(
         estimate,
         value=value,
+        std_error=None,
         low=low,
         high=high,
         low_unseen=low_unseen,
@@ -580,6 +581,33 @@ def _disagreeing(judged: Judged) -> Doubt:
 
 
 # --- rows of answers ------------------------------------------------------------------------------
+
+
+def by_own_limits(judged: Sequence[Judged]) -> dict[frozenset[str], Estimate]:
+    """The probability of fracture at the plan by a study's own limits, by their names."""
+    joint = {}
+    for aim in judged:
+        counted = [next(filter(means_fracture, group), None) for group in aim.aim.groups]
+        names = frozenset(limit.name for limit in counted if limit is not None)
+        if aim.aim.survive and aim.lead.name in names:
+            joint[names] = aim.probability[aim.lead.name]
+    return joint
+
+
+def decision_answers(design: Design, decisions: Sequence[Decision]) -> Rows:
+    """Of every decision, the failure probability at the plan, the number to use and the safety
+    factor of the number as people read it.
+    """
+    for decision in decisions:
+        subject = f"decision.{decision.aim}"
+        p = decision.all_modes or decision.probability
+        yield number_row(subject, "failure_probability", "", p.value, p.low, p.high, note=p.note)
+        use = decision.use
+        if use is not None:
+            unit = lookup(design.free_quantity).unit
+            yield number_row(subject, "number_to_use", use.path, use.value, unit=unit)
+            yield number_row(subject, "safety_factor", use.path, use.safety_factor)
+
 
 _TEXTS = {
     "distribution": "{} strength",

@@ -22,11 +22,12 @@ from .sentences import DecisionText
 if TYPE_CHECKING:
     import pandas as pd
 
-#: answers that are probabilities, indices, and all that are compared
+#: answers that are probabilities, indices, free numbers, of quantities, and all that are compared
 PROBABILITIES = (Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.MODE_SHARE)
 INDICES = (Kind.SOBOL_FIRST, Kind.SOBOL_TOTAL)
+NUMBERS = (Kind.MARGIN, Kind.NUMBER_TO_USE)
 OF_QUANTITIES = (Kind.MEAN, Kind.SD, Kind.QUANTILE)
-COMPARED = (*PROBABILITIES, *OF_QUANTITIES, Kind.MARGIN, Kind.SAFETY_FACTOR, *INDICES)
+COMPARED = (*PROBABILITIES, *OF_QUANTITIES, *NUMBERS, Kind.SAFETY_FACTOR, *INDICES)
 #: relative change that is worth a line, and such lines at most
 WORTH, MOST = 1e-3, 20
 
@@ -184,7 +185,7 @@ def _text(row: _Change, runs: Sequence[Run]) -> str:
             text = DASH
         elif row.answer in OF_QUANTITIES:
             text = format_value(x, row.subject)
-        elif row.answer == Kind.MARGIN and free is not None:
+        elif row.answer in NUMBERS and free is not None:
             text = format_value(x, free.quantity)
         elif row.answer in PROBABILITIES:
             text = format_probability(x)

@@ -470,6 +470,9 @@ def limit_notes(results: Results) -> Iterator[str]:
         yield f"strength without tests, uncertainty not included: {names}"
     if results.study.modes:
         yield "* library strength, not measured on this rock"
+    broken = [name for name, entry in entries if entry.aim == "break"]
+    if broken:
+        yield f"β of not breaking: {listed(broken)}"
     damage = _damage_modes(results.decisions)
     if damage:
         yield f"damage, not counted as fracture: {listed(damage)}"

@@ -169,8 +169,7 @@ def limits(results: Results) -> PageTable:
         beta = results.get(subject, Kind.RELIABILITY_INDEX)
         cells = [label(subject), p, DASH]
         if beta.value is not None:
-            # of the probability beside it
-            cells[2] = f"{-beta.value if entry.aim == 'break' else beta.value:.2f}"
+            cells[2] = f"{beta.value:.2f}"
         if free is not None:
             best = DASH
             if entry.aim in {decision.aim for decision in results.decisions}:

@@ -100,9 +100,16 @@ class Kind(StrEnum):
     SAFETY_FACTOR = (
         "safety_factor",
         "limit",
-        "median of strength over demand; free number at the target over its planned value",
+        "median of strength over demand; of a decision, number to use over planned value",
         "what it compares",
         "1",
+    )
+    NUMBER_TO_USE = (
+        "number_to_use",
+        "decision",
+        "free number that keeps every target under every doubt",
+        "key of the free number",
+        "the free number's",
     )
     CURVE = "curve", "limit", "probability of exceedance along the free number", "free number", "1"
     MARGIN = (
@@ -153,7 +160,7 @@ class Answer(Part):
     """One row of answers.csv: a number with its 95 % interval."""
 
     subject: str
-    """a quantity, limits.NAME, modes.NAME (assumed strength), fracture, or run"""
+    """a quantity, limits.NAME, modes.NAME (assumed strength), decision.AIM, fracture, or run"""
     answer: Kind
     """kind of answer"""
     at: float | str = ""
