@@ -143,12 +143,12 @@ def _value(
     pooled = probabilities.mean(axis=1)
     centre = _crossing(places, pooled, target, least)
     if math.isnan(centre):
-        reason = (
-            f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
-            f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}"
-        )
-        if pooled.min() < target < pooled.max():
-            reason = f"{behind.min():.0f} samples at a value are too few to show it"
+        reason = f"{behind.min():.0f} samples at a value are too few to show it"
+        if not pooled.min() < target < pooled.max():
+            reason = (
+                f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
+                f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}"
+            )
         return absent(reason, METHOD, evaluations)
     k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
     counted = np.abs(pooled * behind - np.round(pooled * behind)).max() < 1e-6
@@ -171,29 +171,21 @@ def _value(
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * behind
     sides += [places[n] for n in (k - 1, k) if counted and shown[n] < FEWEST]
-    # What the curves through every other point answer differently bounds what is lost between the
-    # points: halving the grid costs a monotone cubic at least a factor of four.
-    between_points = 0.0
-    for first in (0, 1):
-        every = np.unique([0, *range(first, grid.size, 2), grid.size - 1])
-        other = _crossing(places[every], pooled[every], target, least[every])
-        between_points = np.fmax(between_points, abs(other - centre) / 4.0)
+    interpolation = _lost_between(places, pooled, target, least, centre)
     step = places[k - 1 : k + 1]
-    if between_points > 0.1 * np.ptp(step):
-        # the curves differ by half a step or more where there is a jump, known to its step only
+    if interpolation > 0.1 * np.ptp(step):
+        # where there is a jump it is known to its step only
         sides += [*step]
-    below, above = (
-        distance + between_points
-        for distance in (centre - np.min(sides), np.max(sides) - centre)  # nan where one is
-    )
-    if not math.isfinite(below + above):
+    low = np.min(sides) - interpolation  # nan where a side is
+    high = np.max(sides) + interpolation
+    if not math.isfinite(high - low):
         return absent(
             "too close to an end of the range, or too few samples at a value to show this "
             "probability",
             METHOD,
             evaluations,
         )
-    value, low, high = map(backward, (centre, centre - below, centre + above))
+    value, low, high = map(backward, (centre, low, high))
     estimate = between(value, low, high, replicates, METHOD, evaluations)
     if ends is None:
         return estimate
@@ -201,5 +193,22 @@ def _value(
         outer.reverse()
     # open where the curve does not take it
     outermost = np.where(np.isnan(outer), [-inf, inf], outer)
-    low, high = backward(np.add(outermost, [-between_points, between_points])).tolist()
+    low, high = backward(np.add(outermost, [-interpolation, interpolation])).tolist()
     return replace(estimate, low_unseen=low, high_unseen=high)
+
+
+def _lost_between(
+    places: Array, probability: Array, target: float, least: Array, centre: float
+) -> float:
+    """What the place at which a curve (K,) takes the target may be off by between its points.
+
+    Halving the grid costs a monotone cubic at least a factor of four, so that it is a quarter of
+    what the curves through every other point answer differently.  At a jump these differ by half a
+    step or more.
+    """
+    lost = 0.0
+    for first in (0, 1):
+        every = np.unique([0, *range(first, len(places), 2), len(places) - 1])
+        other = _crossing(places[every], probability[every], target, least[every])
+        lost = np.fmax(lost, abs(other - centre) / 4.0)
+    return lost
