@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tracemalloc
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -132,13 +133,48 @@ def estimate(value: float, low: float, high: float, runs: int) -> Estimate:
 
 def test_failures_that_a_search_misses_and_the_sample_meets_are_in_the_interval() -> None:
     search, sample = estimate(3e-6, 2.9e-6, 3.1e-6, 30_000), estimate(2e-4, 1e-4, 4e-4, 65_536)
-    both = _searched(search, sample, 65_536)
+    both = _searched(search, sample)
     assert both.low == 2.9e-6
     assert both.value == 2e-4
     assert both.high == 4e-4
-    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536), 65_536)
+    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536))
     assert alone.high == 3.1e-6
     assert alone.high_unseen == pytest.approx(3.1e-6 + 3.0 / 65_536, rel=0.01)
+
+
+def test_a_sample_bounds_a_search_whose_methods_disagree() -> None:
+    """An island in twenty inputs, where no design point leads: it was below 0.2 or 0.3."""
+    names = [f"u{k}" for k in range(20)]
+
+    def limit(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        island = (x["u0"] + 2.0) ** 2 + (x["u1"] - 2.0) ** 2 < 0.25**2
+        return {"g": np.where(island, -1.0, 4.5 - x["u0"])}
+
+    study = Study(
+        inputs={name: {"dist": "normal", "mean": 0.0, "sd": 1.0} for name in names},
+        outputs="g",
+        limits={"fails": {"quantity": "g", "aim": "break", "strength": 0.0}},
+        analysis={"accuracy": {"probability": 0.02}, "budget": {"evaluations": 30_000}},
+        seed=2,
+    )
+    failure = uqsphere.run(study, limit).probability("fails")
+    truth = 6.0e-4
+    assert failure["low_unseen"] < truth < failure["high_unseen"] < 10.0 * truth
+    assert truth / 3.0 < failure["value"] < 3.0 * truth
+
+
+def test_an_unsure_search_takes_the_place_of_no_sample_that_knows_more() -> None:
+    unsure = estimate(1e-5, 2e-6, 0.2, 30_000)
+    met = _searched(unsure, estimate(6e-4, 2e-4, 1.5e-3, 8192))
+    assert met.value == 6e-4
+    # room for what the sample may have missed too
+    assert met.high == pytest.approx(1.5e-3 + 3.0 / 8192, rel=0.01)
+    none = estimate(0.0, 0.0, 3.7e-4, 8192)
+    assert _searched(unsure, none).value == 1e-5
+    assert _searched(unsure, none).outer == (2e-6, 3.7e-4)
+    beyond = _searched(estimate(2e-3, 2e-6, 0.2, 30_000), none)
+    assert beyond.value is None
+    assert beyond.outer == (0.0, 3.7e-4)
 
 
 def test_an_error_that_has_stopped_falling_is_stuck_whatever_it_fell_by_before():

@@ -118,6 +118,25 @@ def test_a_hundred_calls_give_smooth_problems_within_three_percent_and_are_not_s
     assert not found.sure
 
 
+CORNERS = {
+    # failure in the last thousandth of two uniforms, and of any in the last two hundred thousandths
+    "corner": (lambda u: np.maximum(ndtr(-u[:, 0]), ndtr(u[:, 1])) - 1e-3, 1e-6),
+    "edge": (lambda u: ndtr(-u.max(axis=1)) - 5e-6, 1e-5),
+}
+
+
+@pytest.mark.parametrize(("name", "seed"), [("corner", 4), ("edge", 1)])
+def test_a_surrogate_that_fails_where_the_model_does_not_leaves_the_low_end_open(
+    name: str, seed: int
+) -> None:
+    """Its interval in logarithms began above what the calls allow for."""
+    function, truth = CORNERS[name]
+    found = failure_probability(Evaluator(function, 2, budget=150, seed=seed)).estimate
+    low, high = found.outer
+    assert low <= truth <= high
+    assert low < found.low or low == 0.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("dimension", "truth"), [(40, 1.98185e-3), (100, 1.73453e-3)])
 def test_forty_and_a_hundred_lognormals_within_four_percent(dimension: int, truth: float) -> None:
@@ -160,6 +179,27 @@ def test_an_island_off_the_path_of_the_search_is_never_sure_and_wrong(radius: fl
         assert low < truth < high
         met += found.estimate.high > truth
     assert met >= 5
+
+
+def test_plain_samples_that_a_search_does_not_explain_set_the_value() -> None:
+    # it was that of the plane, 1e-6, in an interval to 2e-3
+    def limit(u: np.ndarray) -> np.ndarray:
+        island = (u[:, 0] + 2.0) ** 2 + (u[:, 1] - 2.0) ** 2 < 0.25**2
+        return np.where(island, -1.0, 4.75 - u[:, 0])
+
+    truth = float(ncx2.cdf(0.25**2, 2, 8.0) + ndtr(-4.75))
+    found = failure_probability(Evaluator(limit, 20, seed=8))
+    assert "more than the search explains" in found.warning
+    assert truth / 3.0 < found.estimate.value < 3.0 * truth
+    assert holds(found.estimate, truth)
+
+
+def test_a_single_failure_of_few_runs_leaves_the_low_end_open() -> None:
+    # beyond ten inputs a plain sample answers
+    plane = Evaluator(lambda u: 4.0 - u.sum(axis=1) / 5.0, 25, budget=1000, seed=11)
+    found = failure_probability(plane).estimate
+    assert found.value == pytest.approx(1.0 / 992.0)
+    assert found.outer[0] <= ndtr(-4.0)
 
 
 def test_no_failure_is_a_bound_and_not_zero() -> None:

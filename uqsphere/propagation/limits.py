@@ -16,7 +16,7 @@ from uqsphere.models.scene import fractures_of
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, limit_of
 from uqsphere.uq import Estimate, Law, LimitState, Sample, exact, from_replicates, score_of
-from uqsphere.uq.estimate import count_bound, share
+from uqsphere.uq.estimate import absent, count_bound, share
 from uqsphere.uq.limit_state import (
     make_union,
     reliability_index,
@@ -61,7 +61,7 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     column = limit.column
     sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
     if limit.name in tables.rare:
-        return _searched(tables.rare[limit.name].estimate, sampled, tables.sample.size)
+        return _searched(tables.rare[limit.name].estimate, sampled)
     constant = not design.variables and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
@@ -72,23 +72,26 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     )
 
 
-def _searched(searched: Estimate, sampled: Estimate, rows: int) -> Estimate:
-    """The answer of a search, beside the plain sample of so many rows: failures that the search did
-    not aim at are no more probable than a sample without them allows.
+def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
+    """The answer of a search, beside that of the plain sample: failures that the search did not aim
+    at are no more probable than a sample without them allows.  Where the sample by itself allows
+    for less than the search, it answers.
     """
-    if searched.value is None or searched.high is None:
-        # a search that has seen nothing knows no less than the sample does
-        if sampled.value:
-            return sampled
-        high = min(1.0 if end is None else end for end in (searched.high, sampled.high))
-        reason = f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
-        return replace(searched, high=high, high_unseen=None, reason=reason)
-    if sampled.low is not None and sampled.low > searched.high:
+    missed = count_bound(sampled.evaluations)
+    most = min((sampled.high or 1.0) + missed, 1.0)
+    if searched.value and (sampled.low or 0.0) > (searched.high or 1.0):
         # the sample has met failures that the search missed
         return sampled.holding(searched)
-    unseen = min(searched.high + count_bound(rows), 1.0)
-    if searched.high_unseen is not None:
-        unseen = min(unseen, searched.high_unseen)
+    if not searched.value or 0.5 * most < searched.half_width:
+        # such a search knows no more than the sample does
+        if sampled.value:
+            return replace(sampled, high=most)
+        high = min(searched.high or 1.0, sampled.high or 1.0)
+        if searched.value and searched.value < high:
+            return replace(searched, high=high, high_unseen=None)
+        reason = f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
+        return absent(reason, searched.method, searched.evaluations, below=high)
+    unseen = min((searched.high or 1.0) + missed, searched.high_unseen or 1.0)
     return replace(searched, high_unseen=unseen)
 
 

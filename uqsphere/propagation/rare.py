@@ -45,9 +45,9 @@ def is_negligible(estimate: Estimate, limit: Limit) -> bool:
 
 def is_left_to_search(design: Design, estimate: Estimate) -> bool:
     """Whether a search reaches a small failure probability with fewer runs than sampling."""
-    small = estimate.value is None or estimate.value < SMALL
-    required = design.analysis.accuracy.probability
-    return small and bool(design.variables) and rows_by_sampling(estimate, required) > MOST
+    small = (estimate.value or 0.0) < SMALL
+    rows = rows_by_sampling(estimate, design.analysis.accuracy.probability)
+    return small and bool(design.variables) and rows > MOST
 
 
 def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
@@ -163,8 +163,7 @@ def _design_point(tables: Tables, limit: Limit) -> Mapping[str, float]:
 
 def _hangs_on_more(design: Design, limit: Limit) -> bool:
     """Whether the failure of a limit hangs on more than its quantity and its strength."""
-    of_tests = limit.by_force or isinstance(limit.model_factor, Law)
-    return bool(design.study.dependence) or of_tests
+    return bool(design.study.dependence) or limit.by_force or isinstance(limit.model_factor, Law)
 
 
 def _problem(

@@ -69,14 +69,14 @@ class LimitState:
         strength = self.strength
         broken = self.broken
         demands = np.where(broken, 0.0, self.demands) * factor
-        if not isinstance(strength, Law):
+        if isinstance(strength, Law):
+            if strength.is_steps:
+                # P(S < d): an observation that equals the demand has not been exceeded.
+                demands = np.nextafter(demands, -math.inf)
+            below, above = strength.tails(demands)
+        else:
             below = np.where(demands > strength, 1.0, 0.0)
             above = 1.0 - below
-        elif strength.is_steps:
-            # P(S < d): an observation that equals the demand has not been exceeded.
-            below, above = strength.tails(np.nextafter(demands, -math.inf))
-        else:
-            below, above = strength.tails(demands)
         if self.tie.columns:
             below, above = GAUSS.tails(self.tie.conditional_score(score_of(below, above)))
         return np.where(broken, 0.0, below), np.where(broken, 0.0, above)
@@ -156,7 +156,7 @@ class LimitState:
                 return absent(zero, d.method, total)
             value, low, high = (strength / demand for demand in (d.value, d.high, d.low))
             return between(value, low, high, counts.size, d.method, total)
-        positive = self.demands[~broken & (self.demands > 0.0)]
+        positive = self.demands[self.demands > 0.0]
         if positive.size <= p * counts.sum():
             return absent(zero, method, total)
 
@@ -301,7 +301,7 @@ class Union:
         none can be.
         """
         mass = self.any.mean(axis=1)
-        if not self.any.any():
+        if not mass.any():
             return None
         size, (replicates, n) = len(self.states), self.any.shape
         chances = np.where(mass[:, None] > 0.0, self.any, 1.0)
@@ -355,9 +355,7 @@ def make_union(states: Sequence[LimitState], factor: Array, rng: Generator) -> U
     `factor` (L, L) of `residual_correlation` is the identity for strengths that do not depend on
     each other given the inputs; `rng` draws the strengths that hold.
     """
-    shape = (len(states), *states[0].demands.shape)
-    failure_given_inputs = np.zeros(shape)
-    holding = np.zeros(shape)
+    failure_given_inputs, holding = np.zeros((2, len(states), *states[0].demands.shape))
     for j, state in enumerate(states):
         below, above = state.tails()
         if np.any(factor[j, :j]):

@@ -8,7 +8,7 @@ where the two disagree the interval holds both, and that is said.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -125,13 +125,13 @@ def failure_probability(
             return _sampled(evaluator)
         warning = (
             f"from {evaluator.count} runs: a failure region may have been missed; with it the "
-            f"probability is below {few.high_unseen:.2g}"
+            f"probability is below {few.outer[1]:.2g}"
         )
         return RareAnswer(few, warning)
     count = int(DEFENSIVE * budget)
     plain = standard_normal(d).draw(evaluator, count, "defensive share")
     pool = [plain]
-    starts = np.empty((0, evaluator.size))
+    starts: Iterable[Array] = ()
     if d <= MOST_DIMENSIONS:
         # points far out in all directions; the three most probable failures among them are starts
         look = wide_mixture(d).draw(evaluator, count, "wide look")
@@ -211,10 +211,10 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
     and a warning.
     """
     sampled = answer.estimate
-    if sampled.value is None or sampled.low is None or sampled.high is None:
+    if not (sampled.value and sampled.low and sampled.high):
         warning = f"importance sampling: {sampled.reason}; subset simulation has no second method"
         return _bound(other), warning
-    if other.value is None or other.high is None:
+    if not (other.value and other.high):
         if answer.trusted and sampled.low <= (other.high or 1.0):
             return sampled, ""
         warning = f"subset simulation: {other.reason}; importance sampling has no second method"
@@ -222,11 +222,12 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
     slack = 1.5 * math.log(other.high / other.value) + math.log(sampled.high / sampled.low)
     excess = math.log(sampled.value / other.value)
-    if answer.trusted and excess > slack:
-        # what trusted weights show is there; chains may well have missed it
-        return sampled, f"subset simulation missed a part of the failures: {other.value:.3g}"
     if answer.trusted and excess >= -slack:
-        return sampled, ""
+        warning = ""
+        if excess > slack:
+            # what trusted weights show is there; chains may well have missed it
+            warning = f"subset simulation missed a part of the failures: {other.value:.3g}"
+        return sampled, warning
     warning = (
         f"importance sampling ({sampled.value:.3g}, largest weight {answer.heaviest:.0%}) and "
         f"subset simulation ({other.value:.3g}) disagree, or weights are uneven, or few were "
@@ -249,16 +250,16 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
         return estimate, warning
     low = float(special.gammaincinv(met, ENDS[0])) / size
     high = min(float(special.gammaincinv(met + 1.0, ENDS[1])) / size, 1.0)
-    shown = replace(estimate, low=low, high=high)
+    shown = replace(estimate, value=met / size, low=low, high=high)
     warning = f"{met:.3g} of {size} plain samples fail, more than the search explains"
-    return estimate.holding(shown), warning
+    return shown.holding(estimate), warning
 
 
 def _bound(single: Estimate) -> Estimate:
     """What subset simulation says by itself: a bound, since its chains may have missed most of the
     failures.
     """
-    if single.value is None or single.high is None:
+    if not (single.value and single.high):
         return single
     high = min(1.0, UNCERTIFIED * single.high)
     reason = (
@@ -288,5 +289,7 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
     estimate = absent(reason, method, evaluator.count, below=high)
     if p > 0.0:
         estimate = bounded(p, low, high, error, method, evaluator.count)
+        # one of few that failed says as little as none
+        estimate = replace(estimate, low_unseen=max(low - unseen, 0.0))
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate, warning)

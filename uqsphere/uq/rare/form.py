@@ -71,7 +71,7 @@ def find_design_points(
         scale = np.ptp(values[finite])
         if finite[0]:
             scale = max(abs(values[0]), scale)
-        if not scale > 0.0:
+        if scale <= 0.0:
             return ()
         sign = -1.0 if values[0] < 0.0 else 1.0
         for start in starts if known else every:
@@ -123,7 +123,7 @@ def _search(
     def gradient(point: Array) -> Array:
         return at(point.tobytes())[1]
 
-    ends = [REACH - STEP] * evaluator.dimension + [inf] * (size - evaluator.dimension)
+    ends = [REACH - STEP] * evaluator.dimension + [inf] * evaluator.integrated
     end = fmin_slsqp(
         half_square,
         start,

@@ -20,7 +20,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 
-from ..estimate import LEVEL, Estimate, absent, bounded, count_bound, student
+from ..estimate import LEVEL, REPLICATES, Estimate, absent, bounded, carriers, count_bound, student
 from ..points import random_generator
 from .mixture import standard_normal, wide_mixture
 from .problem import MOST_DIMENSIONS, Evaluator
@@ -28,20 +28,19 @@ from .problem import MOST_DIMENSIONS, Evaluator
 #: evaluations below which no surrogate is fitted
 FEWEST = 64
 METHOD = "kriging, corrected by calls of the model"
-#: shares of the calls that are a plain sample, and that correct the answer at least
+#: shares of the calls that are a plain sample, and that correct the answer at least; these are no
+#: fewer than the replicates whose t their interval has
 PLAIN, FRESH = 0.1, 0.25
 #: evaluations of a surrogate that a search takes while it is refined, and for the answer
 LOOK, LAST_LOOK = 8000, 2e4
 #: points that a surrogate is fitted to at most: its cost grows with their cube
 MOST_POINTS = 120
-#: fresh calls that correct the answer at least
-LEAST_FRESH = 16
 #: points of the plain sample that a surrogate is fitted to at a time
 FITTED = 20
 #: variance at a distance of zero that is not shared, over the variance of the process
 NUGGET = 1e-8
-#: bounds of a correlation length [standard deviations of the input]
-SHORTEST, LONGEST = 0.1, 100.0
+#: bounds of the logarithm of a correlation length [standard deviations of the input]
+LENGTHS = math.log(0.1), math.log(100.0)
 
 
 def by_kriging(
@@ -62,11 +61,11 @@ def by_kriging(
     values = evaluator.values(points, np.concatenate([wide.answers, plain.answers]))
     # a few of the plain sample are fitted to, and later those on which the surrogate is wrong
     fitted, rest = np.split(np.arange(len(points)), [len(wide.points) + FITTED])
-    last = evaluator.budget - max(FRESH * evaluator.left, LEAST_FRESH)
+    last = evaluator.budget - max(FRESH * evaluator.left, REPLICATES)
     lengths = np.full(d, 2.0 * math.sqrt(d))
     while True:
         usable = fitted[np.isfinite(values[fitted])]
-        if evaluator.failed or not np.ptp(values[usable]) > 0.0:
+        if evaluator.failed or np.ptp(values[usable]) <= 0.0:
             return None  # a plain sample says what can be said
         surrogate = fit_kriging(points[usable], values[usable], lengths)
         lengths = surrogate.lengths
@@ -94,55 +93,63 @@ def by_kriging(
         for _ in range(batch):
             best = places[[doubt.argmax()]]
             points = np.concatenate([points, best])
-            near = (((places - best) / lengths) ** 2).sum(axis=1)
-            doubt = doubt * (1.0 - np.exp(-0.5 * near))
+            near = surrogate._replace(points=best)._correlations(places)[:, 0]
+            doubt = doubt * (1.0 - near)
         values = np.append(values, evaluator.values(points[-batch:]))
     answer = search(replace(model, budget=LAST_LOOK), accuracy=accuracy)
     estimate = _corrected(evaluator, surrogate, answer, accuracy)
     size = plain.answers.size
+    failures = evaluator.mass(plain.points, plain.answers).sum()
+    high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), LEVEL))
     if estimate is None:
-        failures = np.nansum(evaluator.mass(plain.points, plain.answers))
-        high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), LEVEL))
-        reason = f"no call of {evaluator.count} shows what fails; it is below {high:.2g}"
-        return replace(absent(reason, METHOD, evaluator.count, below=high), high_unseen=high)
-    return replace(estimate, high_unseen=min((estimate.high or 1.0) + count_bound(size), 1.0))
+        reason = f"{evaluator.count} calls do not tell it from zero; it is below {high:.2g}"
+        return absent(reason, METHOD, evaluator.count, below=high)
+    unseen = max((estimate.high or 1.0) + count_bound(size), high)
+    return replace(estimate, high_unseen=min(unseen, 1.0))
 
 
 def _corrected(
     evaluator: Evaluator, surrogate: "Kriging", answer: Any, accuracy: float
 ) -> Estimate | None:
     """The answer on the surrogate, corrected by fresh calls until it is accurate, or the calls are
-    spent; None where there are too few, or nothing fails on the surrogate.
+    spent; None where there are too few, nothing fails on the surrogate, or the correction takes all
+    of it away.
+
+    Failures of the surrogate of which no fresh call shows that they are none are in the outer
+    interval.
     """
     base = answer.estimate.value
     model = replace(evaluator, limit=np.asarray)
     if not base or answer.draws is None:
         return None
     places = answer.draws.points.reshape(-1, evaluator.dimension)
-    order = random_generator(evaluator.seed, "fresh calls").permutation(len(places))
-    off = variance = np.empty(0)
-    block = LEAST_FRESH
+    places = random_generator(evaluator.seed, "fresh calls").permutation(places)
+    truth = np.empty(0)
+    block = REPLICATES
     value = 0.0
     half = error = math.inf
-    while half > accuracy * value and min(evaluator.left, len(order) - off.size) >= block:
-        fresh = places[order[off.size : off.size + block]]
+    while half > accuracy * value and min(evaluator.left, len(places) - truth.size) >= block:
+        fresh = places[: truth.size + block]
+        truth = np.append(truth, np.nan_to_num(evaluator.mass(fresh[-block:]), nan=0.5))
         ratio = answer.draws.mixture.ratio(fresh)
-        truth = np.nan_to_num(evaluator.mass(fresh), nan=0.5)
-        off = np.append(off, (truth - model.mass(fresh, surrogate.mean(fresh))) * ratio)
-        doubt = surrogate.doubt(fresh, model.integrated)
-        variance = np.append(variance, doubt * ratio**2)
+        predicted = model.mass(fresh, surrogate.mean(fresh)) * ratio
+        doubt = surrogate.doubt(fresh, model.integrated) * ratio**2
         # counted changes of side, or the expected ones where fewer were counted
-        error = math.sqrt(max(off.var(), variance.mean()) / off.size)
+        off = truth * ratio - predicted
+        error = math.sqrt(max(off.var(), doubt.mean()) / off.size)
         shift = off.mean()
-        value = max(base + shift**3 / (shift**2 + error**2 or 1.0), 1e-3 * base)
+        value = base + shift**3 / (shift**2 + error**2 or 1.0)
         error = math.hypot(error, answer.estimate.std_error or 0.0)
-        half = student(math.inf) * error
-        block = max(LEAST_FRESH, off.size // 2)
-    if not value:
+        half = student(REPLICATES) * error
+        block = max(REPLICATES, off.size // 2)
+    if value <= 0.0:
         return None
-    factor = math.exp(min(half / value, 50.0))
-    high = min(value * factor, 1.0)
-    return bounded(value, value / factor, high, error, METHOD, evaluator.count)
+    # in logarithms, where the low end of what may be zero would be above it
+    low = max(value - half, 0.0)
+    high = min(max(value, half) * math.exp(min(half / value, 1.0)), 1.0)
+    unseen = count_bound(max(carriers(predicted), 1.0))
+    estimate = bounded(value, low, high, error, METHOD, evaluator.count)
+    return replace(estimate, low_unseen=low * (1.0 - unseen))
 
 
 # --- the process ----------------------------------------------------------------------------------
@@ -175,8 +182,7 @@ class Kriging(NamedTuple):
         whitened = self.inverse @ self._correlations(points).T
         basis = self.inverse @ _basis(self.points)
         # a trend that the points do not determine adds nothing that can be stated
-        slopes = np.linalg.pinv(np.linalg.qr(basis, mode="r"))
-        of_trend = (_basis(points) - whitened.T @ basis) @ slopes
+        of_trend = (_basis(points) - whitened.T @ basis) @ np.linalg.pinv(basis)
         unknown = 1.0 - (whitened**2).sum(axis=0) + (of_trend**2).sum(axis=1)
         return np.asarray(np.sqrt(self.variance * np.maximum(unknown, NUGGET)))
 
@@ -232,9 +238,13 @@ def fit_kriging(points: Array, values: Array, start: Array) -> Kriging:
         core = (fit.inverse.T @ fit.inverse - outer) * shared / n
         return value, np.tensordot(core, squares, axes=2) * fit.lengths**-2.0
 
-    bounds = [(math.log(SHORTEST), math.log(LONGEST))] * d
     best = minimize(
-        loss, np.log(start), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20}
+        loss,
+        np.log(start),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[LENGTHS] * d,
+        options={"maxiter": 20},
     )
     return process(np.exp(best.x))[0]
 

@@ -346,7 +346,7 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
         method += ", interval widened for failed rows"
         extra = float(lost.mean()) + student(REPLICATES) * spread(lost.mean(axis=1))
     value = rows.mean()
-    if not value > 0.0:
+    if value <= 0.0:
         high = min(count_bound(weights.size) + extra, 1.0)
         return ImportanceAnswer(
             absent("no failure among the points", method, evaluator.count, below=high)
