@@ -520,9 +520,8 @@ def fragility(
         if isinstance(law, float) and not math.isfinite(law):
             raise UsageError(f"the strength must be a finite number or a law, found {law}")
         count = max(evaluations // (REPLICATES * max(grid.size, 1)), 8)
-        d = len(laws.names)
         points = [
-            sobol_points(d, count, seed=seed, task="fragility", replicate=r)
+            sobol_points(len(laws.names), count, seed=seed, task="fragility", replicate=r)
             for r in range(REPLICATES)
         ]
         x = laws.physical(special.ndtri(np.concatenate(points)))

@@ -101,8 +101,9 @@ def history(
             ]
         else:
             ahead = [gauge.position for gauge in study.gauges] or [0.5 * rod_length(motion)]
-            ahead = [place for place in ahead if 0.0 < place < math.inf]
-            signals = [rod_record(motion, place, course.time) for place in ahead]
+            signals = [
+                rod_record(motion, place, course.time) for place in ahead if 0.0 < place < math.inf
+            ]
     except ValueError as error:
         raise UsageError(str(error)) from None
     measured = vars(course) | {"gauges": tuple(signals)}

@@ -286,8 +286,7 @@ def _pictures(sweep: Sweep, frame: pd.DataFrame) -> dict[str, Picture]:
     first = next(iter(sweep.runs.values())).results
     shown = [("sweep-plan", f"{chart_title(first)} at the plan", "probability", "%", 100.0)]
     if first.study.free is not None:
-        path = first.study.free.quantity
-        scale = display_unit(path, frame["use"].astype(float).max())
+        scale = display_unit(first.study.free.quantity, frame["use"].astype(float).max())
         title = f"{capital(first.study.free.meaning)} to use"
         shown.insert(0, ("sweep-use", title, "use", *scale))
     for name, title, column, unit, factor in shown:

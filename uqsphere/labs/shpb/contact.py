@@ -174,8 +174,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
             f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required"
         )
     kept = kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int)]
-    largest = np.maximum.accumulate(force)
-    return displacement[kept], force[kept], largest[kept], table.notes
+    return displacement[kept], force[kept], np.maximum.accumulate(force)[kept], table.notes
 
 
 def face_approach(force: Array, largest: Array, face: Face) -> Array:

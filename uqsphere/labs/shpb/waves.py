@@ -350,8 +350,7 @@ def _near_face(
     )
     peaks["A"] = largest_force(face_a.part(apart))
     peaks["mean"] = largest_force(mean.part(apart))
-    begin = apart.start
-    if begin > 0 and peaks["A"].time < before.step * (begin + before.wave.lead):
+    if apart.start > 0 and peaks["A"].time < before.step * (apart.start + before.wave.lead):
         peaks.doubt("A", "its largest value lies where incident and reflected wave overlap")
     peaks.doubt("A", doubt)
     return face_a, incident, reflected
