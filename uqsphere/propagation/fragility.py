@@ -7,7 +7,6 @@ and their spread is the interval.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -72,45 +71,18 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     line = tables.line
     if margins.limit is not None:
         line = dict.fromkeys(grid(margins), tables.sample)
-    (means, *extremes), carrying = _along(design, line, limit)
+    means, carrying = _along(design, line, limit)
     ends = None
     if tables.compared is not None:
-        ends = ends_by_rows(design, tables.compared, limit, line, means)
-    fitted = partial(
-        fragility_of,
+        ends = ends_by_rows(design, tables.compared, limit, line, means[0])
+    return fragility_of(
         np.array([*line]),
-        targets=targets or sorted({*margins.for_probability, limit.allowable}),
+        np.clip(means, 0.0, 1.0),
+        targets or sorted({*margins.for_probability, limit.allowable}),
         samples=[rows.count for rows in line.values()],
         carrying=carrying,
+        ends=ends,
     )
-    found = fitted(np.clip(means, 0.0, 1.0), ends=ends)
-    if not np.ptp(extremes, axis=0).any():
-        return found
-    return _widened(found, [fitted(np.clip(extreme, 0.0, 1.0)) for extreme in extremes])
-
-
-def _widened(found: Fragility, extremes: Sequence[Fragility]) -> Fragility:
-    """A curve and its values with intervals that reach to those of others: of as few and as many
-    rows as censored and failed ones may have exceeded.
-    """
-    curve, *others = (np.array(each.curve) for each in (found, *extremes))
-    values = {}
-    for other in others:
-        curve[:, 2::2] = np.minimum(curve[:, 2::2], other[:, 2::2])
-        curve[:, 3::2] = np.maximum(curve[:, 3::2], other[:, 3::2])
-    for target, estimate in found.values.items():
-        known = [estimate, *(each.values[target] for each in extremes)]
-        unknown = [each.reason for each in known if each.reason]
-        low, high = ([getattr(each, end) for each in known] for end in ("low", "high"))
-        if estimate.reason:
-            values[target] = estimate
-        elif unknown:
-            reason = f"censored or failed rows leave it open: {unknown[0]}"
-            values[target] = absent(reason, estimate.method, estimate.evaluations)
-        else:
-            method = f"{estimate.method}, interval widened for censored and failed rows"
-            values[target] = replace(estimate, low=min(low), high=max(high), method=method)
-    return Fragility(curve=curve.tolist(), values=values)
 
 
 def _along(
@@ -129,7 +101,7 @@ def _along(
         carrying.append(min(carriers(exceeded), carriers(held)))
         mean = exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1)
         least = most = mean
-        if not sample.knows(limit.column):
+        if state.on_failure == "bound" or state.late.any():
             moved = replace(state, demands=factor * state.demands)
             least, most = (
                 np.nanmean(exceedance(moved, survive), axis=1) for survive in (False, True)

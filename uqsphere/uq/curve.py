@@ -37,7 +37,8 @@ def fragility(
     ends: Array | None = None,
 ) -> Fragility:
     """Fragility curve from probabilities (K, R) of R replicates at the K increasing values of the
-    grid.
+    grid; or (3, K, R): as computed, and where as few and as many as possible of the samples without
+    an answer exceed, to which the intervals reach.
 
     `samples`, one number or (K,), are those behind one probability of one replicate; what lies
     below half a sample in all replicates together is not told from zero.  The probability may rise
@@ -48,6 +49,9 @@ def fragility(
     probabilities' intervals, and of those that allow for what the samples miss, where the
     replicates do not show them.
     """
+    parts = probabilities.reshape(-1, *probabilities.shape[-2:])
+    pooled = parts.mean(axis=2)
+    probabilities = parts[0]
     replicates = probabilities.shape[1]
     if grid.ndim != 1 or grid.size < 2 or np.any(np.diff(grid) <= 0.0):
         raise ValueError("the grid must hold at least two increasing values")
@@ -55,14 +59,18 @@ def fragility(
     curve = []
     values = dict[float, Estimate]()
     carried = carrying or [inf] * len(grid)
-    for level, row, count, by in zip(grid.tolist(), probabilities, counts, carried, strict=True):
+    apart = pooled[0] - pooled.min(axis=0), pooled.max(axis=0) - pooled[0]
+    columns = zip(grid.tolist(), probabilities, counts, carried, *apart, strict=True)
+    for level, row, count, by, fewer, more in columns:
         p = float(row.mean())
         q = (1.0 - row).mean()
         # counts that agree in all replicates are still known to one sample only
         error = spread(row) or spread(row, 1.0 / count)
         worth = 1.0 + freedom(replicates, by)
         low, high, _ = probability_ends(p, q, error, worth, count * replicates)
-        curve.append([level, p, *[min(low, p), max(high, p)] * 2])
+        low = max(min(low, p) - fewer, 0.0)
+        high = min(max(high, p) + more, 1.0)
+        curve.append([level, p, *[low, high] * 2])
     if ends is not None:
         curve = np.column_stack([grid, probabilities.mean(axis=1), *ends]).tolist()
     # where a curve that has surely risen surely falls, or has fallen and rises
@@ -79,7 +87,7 @@ def fragility(
                 int(behind.sum()),
             )
         else:
-            values[target] = _value(grid, probabilities, target, behind, carried, ends)
+            values[target] = _value(grid, parts, target, behind, carried, ends)
     return Fragility(curve=curve, values=values)
 
 
@@ -119,7 +127,7 @@ def _crossing(places: Array, probability: Array, target: float, least: Array) ->
 
 def _value(
     grid: Array,
-    probabilities: Array,
+    parts: Array,
     target: float,
     behind: Places,
     carrying: Sequence[float],
@@ -136,11 +144,12 @@ def _value(
     # in logarithms of a positive grid
     forward, backward = (np.log, np.exp) if grid[0] > 0.0 else (np.asarray, np.asarray)
     places = forward(grid)
-    replicates = probabilities.shape[1]
+    every = parts.mean(axis=2)
+    pooled = every[0]
+    replicates = parts.shape[2]
     evaluations = int(behind.sum())
     # what lies below half a sample is not told from zero
     least = 0.5 / behind
-    pooled = probabilities.mean(axis=1)
     centre = _crossing(places, pooled, target, least)
     if math.isnan(centre):
         reason = f"{behind.min():.0f} samples at a value are too few to show it"
@@ -157,14 +166,14 @@ def _value(
         return absent(
             f"{fewest:.0f} samples at a value are too few to show it", METHOD, evaluations
         )
-    there = special.ndtr(PchipInterpolator(places, _scores(probabilities, least[:, None]))(centre))
+    there = special.ndtr(PchipInterpolator(places, _scores(parts[0], least[:, None]))(centre))
     error = spread(there)
     if counted and error == 0.0:
         error = spread(there, replicates / fewest)
     carriers_there = max(carrying[k - 1 : k + 1])
     worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, inf)
-    sides = [_crossing(places, pooled, p, least) for p in (low, high)]
+    sides = [_crossing(places, mean, p, least) for mean in every for p in (low, high)]
     if ends is not None:
         first, last, *outer = (_crossing(places, end, target, least) for end in ends)
         sides = [centre, first, last]
@@ -180,8 +189,8 @@ def _value(
     high = np.max(sides) + interpolation
     if not math.isfinite(high - low):
         return absent(
-            "too close to an end of the range, or too few samples at a value to show this "
-            "probability",
+            "too close to an end of the range, or too few samples at a value, or too many of them "
+            "without an answer, to show this probability",
             METHOD,
             evaluations,
         )
