@@ -411,7 +411,7 @@ def answers_from(
             for name in values
             if name in OUTPUTS and OUTPUTS[name].censored
         },
-        grazes=np.nan_to_num(columns["grazed"]),
+        grazes=np.nan_to_num(columns["doubt"]),
         status=status,
         record=scene.scales.time * columns["ended"],
         steps=columns["steps"],

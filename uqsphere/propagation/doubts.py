@@ -64,6 +64,11 @@ class Aim:
         """Whether exceedance is what must not happen."""
         return self.word == "survive"
 
+    @property
+    def has_target(self) -> bool:
+        """Whether its limits have targets: those without are left out where others have."""
+        return self.limits[0].has_target
+
     @cached_property
     def groups(self) -> list[list[Limit]]:
         """Limits by the tests behind them: those on the same tests are one failure mode, carried

@@ -162,8 +162,8 @@ def ends_by_rows(
             apart = shares_of(margins, compared.values) - shares_of(margins, np.array(value))
             near = np.sort(np.argsort(np.abs(apart))[: math.isqrt(len(apart))])
             shift = _common_error(products[near[:-1]], systematic)
-        answered, *predicted = state.tails(factor)[0][:, near]
-        influence.append(answered - np.mean(predicted, axis=0))
+        observed, *predicted = state.tails(factor)[0][:, near]
+        influence.append(observed - np.mean(predicted, axis=0))
         expected.append(np.var(predicted, axis=0).mean())
         # a replicate knows what it counts to one of its rows
         cells.append(0.0 if isinstance(state.strength, Law) else 1.0 / sample.count)

@@ -82,7 +82,7 @@ class Judged:
         """
         limits = self.aim.limits
         governing = self.settled.governing
-        if governing.code != "assumed strength" and limits[0].has_target:
+        if governing.code != "assumed strength" and self.aim.has_target:
             return self.settled.setting.limit
         return next(filter(means_fracture, limits), limits[0])
 
@@ -236,7 +236,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     library = _library(judged)
     target = all_modes = own = None
     subject = aim.design.subject(lead)
-    if aim.limits[0].has_target:
+    if aim.has_target:
         subject = aim.design.subject(governing.limit)
         target = lead.target
         if governing.code == "assumed strength":
@@ -430,8 +430,7 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
     """The verdict at the plan: not established with a caveat, else met where every doubt keeps its
     target, not met where none does and a limit misses its own, and undecided between.
     """
-    limits = judged.aim.limits
-    if not limits[0].has_target:
+    if not judged.aim.has_target:
         return "no target"
     if any(caveat.code != "rate" for caveat in caveats):
         return "not established"
@@ -440,7 +439,7 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
     if len(kept_by) == len(doubts):
         # an effect on the unsafe side that nobody put a number on holds only what is met
         return "not established" if caveats else "met"
-    for limit in limits:
+    for limit in judged.aim.limits:
         met = judged.all_modes[limit.name].meets(limit.target)
         if met is False and limit.name not in kept_by:
             return "not met"

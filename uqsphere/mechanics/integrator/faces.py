@@ -17,8 +17,8 @@ sqrt(x) and l = ln((y + base)/...), so that its series costs one recurrence more
     q = constant + by_x x + by_root y + by_log l
     l' (y + base) = y'        base = (b - 1) sqrt(x_y)
 
-Every lane s has these numbers of each of its faces, m = face LANES + lane (`tracked.LANE`); scaled
-variables.
+The state s has these numbers of each face of every lane, m = face LANES + lane (`tracked.STATE`);
+scaled variables.
 """
 
 from __future__ import annotations
@@ -282,7 +282,7 @@ def wrong_branch(s, m, length, beyond):
 
 @compiled
 def most_force(s, j):
-    """The larger force of a j at most while its approaches stay below their bounds, s.top."""
+    """The larger force of lane j at most while its approaches stay below their bounds, s.top."""
     found = 0.0
     for m in range(j, PAIR, LANES):
         found = max(found, face_force(s, m, s.top[m])[0])

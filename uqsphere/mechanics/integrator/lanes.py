@@ -32,7 +32,8 @@ from .tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS, WAVE
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section
 #: 5)
 _CIRCLE = 0.85
-#: times a step is shortened at most because the series of its root has parted from the root
+#: times a step is shortened at most because the series of its root has parted from the root: the
+#: series stays as it is, while a step that is tried again (`kernel._holds`) costs one of its own
 _SHORTER = 3
 
 

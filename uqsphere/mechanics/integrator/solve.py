@@ -243,6 +243,26 @@ def task_of(
     )
 
 
+def _local_errors(task: Task, finite: bool) -> tuple[float, float]:
+    """The error allowed in one step, and the share of it that is left once a face has yielded.
+
+    finite: whether all records end at a horizon.
+    """
+    share = yielded = _LOCAL
+    if task.wanted & tracked.WANT_DIFFERENCE:
+        share = _LOCAL_DIFFERENCE
+    if not task.rigged and task.wanted & tracked.TO_THE_END and not finite:
+        share = min(share, _LOCAL_TAIL)
+    if finite and not task.rigged:
+        yielded = _LOCAL_YIELDED
+    # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
+    # the approaches need
+    local = share * task.tolerance
+    if task.mode != tracked.FULL:
+        local *= 0.1
+    return local, min(1.0, yielded / share)
+
+
 def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     """Run the kernel on all of `rows`, with more room for those that run out of it.
 
@@ -252,20 +272,8 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     from .kernel import march
 
     wanted = task.wanted
-    share = yielded = _LOCAL
-    if wanted & tracked.WANT_DIFFERENCE:
-        share = _LOCAL_DIFFERENCE
-    finite = bool(np.isfinite(rows.horizon).all())
-    if not task.rigged and wanted & tracked.TO_THE_END and not finite:
-        share = min(share, _LOCAL_TAIL)
-    if finite and not task.rigged:
-        yielded = _LOCAL_YIELDED
-    # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
-    # the approaches need
-    local = share * task.tolerance
+    local, closer = _local_errors(task, bool(np.isfinite(rows.horizon).all()))
     power = 2.0 / 3.0
-    if task.mode != tracked.FULL:
-        local *= 0.1
     if task.mode == tracked.LINEAR:
         power = 1.0
     echoing = bool(np.isfinite(rows.round_trips).any())
@@ -274,7 +282,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     paths = [np.empty(0, tracked.PATH)] * len(answers)
     settings = vars(task) | {
         "local": local,
-        "closer": min(1.0, yielded / share),
+        "closer": closer,
         "share": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
@@ -480,7 +488,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
     """Answers of `march_rows`, and again at ever closer tolerances for the rows whose answers may
     be worse than that of the task.
 
-    `grazed` is then above 0 where the finest tolerance still leaves a doubt: 1 where an error
+    `doubt` is above 0 where the finest tolerance still leaves a doubt: 1 where an error
     of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
     tolerances, and where a duration that counts contacts behind the first loss differs by as much
     from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
@@ -529,5 +537,5 @@ def look_closer(rows: Rows, task: Task) -> Any:
             )
             counted[picked] &= ~done | differs["duration"]
             answers[picked[done]] = look[done]
-    answers["grazed"] = np.where(unsettled, 2.0, doubt | counted)
+    answers["doubt"] = np.where(unsettled, 2.0, doubt | counted)
     return answers

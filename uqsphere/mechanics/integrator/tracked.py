@@ -115,7 +115,8 @@ ANSWER = np.dtype(
             "contact",  # first loss of contact, or the end of the record
             "contact_censored",  # 1 for the end of the record
             "blur",  # how far the error of the approach moves it
-            "grazed",  # when an approach was faint before it; then the doubt (`look_closer`)
+            "grazed",  # when an approach was faint before it
+            "doubt",  # 0, or why another look may differ; look_closer
             "parting",  # last loss of contact
             "rise",  # from a tenth to nine tenths of the largest force
             "ended",  # end of the record
