@@ -906,6 +906,16 @@ def test_the_strength_that_the_plan_needs_is_under_the_distribution_that_misses(
     assert needed.value > needed.present
 
 
+def test_the_strength_that_the_plan_needs_is_without_a_tie_that_decides() -> None:
+    text = TWO.replace("0.89 GPa", "1.6 GPa").replace("8.12 MPa", "20 MPa")
+    results = uqsphere.run(load_study("two.toml", ["rig.speed=0.6 m/s"], text=text)).results
+    (decision,) = results.decisions
+    needed = decision.next.needed
+    assert (decision.verdict, decision.governing) == ("undecided", "limits.tied")
+    assert needed is not None
+    assert needed.value > needed.present
+
+
 TWO = """
 [sphere]
 material = "limestone"
@@ -939,6 +949,35 @@ failure_modes = "given"
 quantities = ["p_max"]
 accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.2 }
 """
+
+
+def test_the_weak_end_of_a_library_strength_that_does_not_govern_is_told() -> None:
+    """Pressure governs a target that is met; by a weak core the number would lie below the plan."""
+    text = TWO[: TWO.index("[limits.core]")] + TWO[TWO.index("[margins]") :]
+    for old, new in (
+        ("limestone", "granite"),
+        ("0.08 m/s", "1.3 m/s"),
+        ('"0.89 GPa", cov = 0.1', '"2.2 GPa", cov = 0.05'),
+        ('["0.02 m/s", "2 m/s"]', '["0.05 m/s", "5 m/s"]'),
+        ('failure_modes = "given"', ""),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    results = uqsphere.run(load_study("one.toml", text=text)).results
+    (decision,) = results.decisions
+    assert (decision.verdict, decision.governing) == ("met", "limits.tied")
+    library, use = decision.library, decision.use
+    assert library is not None
+    assert use is not None
+    assert library.mode == "core tension"
+    assert library.weak is not None
+    assert 1.0 < library.weak < 1.1 < 1.4 < use.value <= (library.strong or 0.0)
+    assert use.best.low == library.weak
+    remedy = decision.next
+    assert (remedy.code, remedy.subject) == ("measure the strength", "modes.core tension")
+    (words,) = decision_texts(results)
+    weak = words.number(library.weak)
+    assert f"Core tension has a strength of the library (weak 5 MPa: {weak};" in words.sentence
 
 
 def test_the_number_is_that_of_the_doubt_that_sets_it() -> None:

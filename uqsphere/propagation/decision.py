@@ -89,20 +89,20 @@ class Settled(Curves):
         if self.use is None:
             alike = [doubt for doubt in self.doubts if doubt.margin == self.number]
             return max(alike, key=self._nearness)
-        return next(filter(self._sets, self.doubts))
+        return next(doubt for doubt in self.doubts if self.is_number(doubt.margin))
 
     @property
     def named(self) -> Doubt:
         """The doubt that a number is put down to: what governs where its margin is the number."""
-        if self.use is not None and self._sets(self.governing):
+        if self.use is not None and self.is_number(self.governing.margin):
             return self.governing
         return self.setting
 
-    def _sets(self, doubt: Doubt) -> bool:
-        """Whether the margin of a doubt is the number to use, or as good as that."""
-        if doubt.margin is None:
-            return False
-        apart = self.line.place_of(doubt.margin) - self.line.place_of(self.use)
+    def is_number(self, margin: float | None) -> bool:
+        """Whether a margin is the number, or as good as that."""
+        if margin is None or self.use is None:
+            return margin == self.number
+        apart = self.line.place_of(margin) - self.line.place_of(self.use)
         return bool(abs(apart) <= CLOSE * np.ptp(self.line.places))
 
     def _nearness(self, doubt: Doubt) -> float:

@@ -363,6 +363,9 @@ class Curves:
         others = Others()
         if joint:
             others = self.others.get(limit.name, others)
+        if doubt.code == "tie":
+            state = replace(state, tie=FREE)
+            others = Others(none=others.none)
 
         def excess(log_factor: float) -> float:
             stronger = replace(state, demands=state.demands * math.exp(-log_factor))

@@ -40,7 +40,7 @@ from .decision import Settled, settled_accurately
 from .design import Design, number_of_tests
 from .design import number as mean_of
 from .doubts import Aim, Curves, Doubt, alternatives
-from .failure_modes import means_fracture
+from .failure_modes import AssumedMode, means_fracture
 from .limits import failure
 from .line import YieldingRows, line_of, plan_of, refined, yielding_rows
 from .promise import gains_of
@@ -274,7 +274,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         doubts=_certificate(judged),
         caveats=caveats,
         library=library,
-        next=_remedy(judged, verdict, caveats),
+        next=_remedy(judged, verdict, caveats, library),
     )
 
 
@@ -344,20 +344,33 @@ def _own(judged: Judged) -> types.Doubt:
 
 
 def _library(judged: Judged) -> LibraryRange | None:
-    """What the library's range of a failure mode that governs would make of the number."""
+    """What the library's range of a failure mode would make of the number: of one that governs;
+    else of that by which most would fail at the number by the weak end, where this leaves less.
+    """
     settled = judged.settled
     aim = judged.aim
-    if judged.line is None or settled.governing.code != "assumed strength":
+    governs = settled.governing.code == "assumed strength"
+    if judged.line is None or not aim.modes or (settled.number is None and not governs):
         return None
-    name = settled.governing.limit.name
-    mode = next(mode for mode in aim.modes if mode.limit.name == name)
-    rest = aim.without(name)
+
+    def failures(mode: AssumedMode) -> float:
+        """Those of a mode where doubts are weighed, by the weak end of its range."""
+        curve = settled.by_strengths(mode.limit, [mode.weak])[0, 0].mean(axis=1)
+        return settled.line.at(curve, settled.weighed_at)
+
+    mode = max(aim.modes, key=failures)
+    for other in aim.modes:
+        if other.limit.name == settled.governing.limit.name:
+            mode = other
+    rest = aim.without(mode.limit.name)
     numbers = []
     for law in (mode.weak, mode.strong):
         other = replace(mode, limit=replace(mode.limit, strength=law))
         taken = replace(rest, modes=(*rest.modes, other))
         numbers.append(replace(settled, aim=taken).number)
     weak, strong = numbers
+    if not governs and settled.is_number(weak):
+        return None
     return LibraryRange(
         mode=mode.called,
         weak=weak,
@@ -485,8 +498,15 @@ _CURES: dict[CaveatCode, RemedyCode] = {
 }
 
 
-def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> Remedy:
-    """What to do next, for the doubt that governs; first for a caveat that no measurement lifts."""
+def _remedy(
+    judged: Judged,
+    verdict: VerdictWord,
+    caveats: Sequence[Caveat],
+    library: LibraryRange | None = None,
+) -> Remedy:
+    """What to do next, for the doubt that governs; first for a caveat that no measurement lifts; of
+    a target that is met, to measure a strength of the library whose weak end would miss it.
+    """
     settled = judged.settled
     line = judged.line
     governing = settled.governing
@@ -511,7 +531,12 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
             return Remedy(code="tighten the accuracy", subject=subject, at_best=at_best)
         return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
     if verdict == "met":
-        return Remedy(code="nothing")
+        planned = design.planned
+        if library is None or planned is None:
+            return Remedy(code="nothing")
+        if library.weak is not None and settled.is_safe(planned, library.weak):
+            return Remedy(code="nothing")
+        return Remedy(code="measure the strength", subject=f"modes.{library.mode}")
     deciding = governing
     if governing.code == "computation" != settled.setting.code:
         deciding = settled.setting
@@ -533,21 +558,24 @@ def _remedy(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> 
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
-    needed = _needed(judged)
+    needed = _needed(judged, deciding)
     return Remedy(code=remedy, subject=subject, at_best=at_best, needed=needed, gains=gains)
 
 
-def _needed(judged: Judged) -> NeededStrength | None:
-    """The strength that the plan needs, of the limit or failure mode by which most failures there
-    are: with the other failure modes, else by itself where it misses its target so.
+def _needed(judged: Judged, deciding: Doubt) -> NeededStrength | None:
+    """The strength that the plan needs, of a failure mode that is to be measured, else of the limit
+    or failure mode by which most failures there are: with the other failure modes, else by itself
+    where it misses its target so.
 
-    None of tests: what they leave open is not in it.
+    None of tests, what they leave open is not in it; and none of contacts that yield.
     """
     plan = judged.plan
-    doubt = plan.governing
+    doubt = deciding
+    if deciding.code != "assumed strength":
+        doubt = plan.governing
     limit = doubt.limit
     strength = limit.resistance
-    if number_of_tests(strength) is not None:
+    if number_of_tests(strength) is not None or doubt.code == "contact law":
         return None
     quantity = limit.quantity
     if strength is not limit.strength:  # the force of its tests

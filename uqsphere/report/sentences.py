@@ -114,6 +114,10 @@ class DecisionText:
         else:
             used = self.number(use.value)
             parts.append(self._governs)
+        library = decision.library
+        if library is not None and not self._library_governs and self.number(library.weak) != used:
+            mode = capital(library.mode)
+            parts.append(f"{mode} has a strength of the library{self._library_range}.")
         own = decision.own
         if own is not None and own.margin is not None and self.number(own.margin) != used:
             text = f"By your own limits: {self._allowed(own.margin)}"
@@ -277,17 +281,9 @@ class DecisionText:
     @property
     def _governs(self) -> str:
         """What sets the number to use."""
-        library = self.decision.library
         text = f"{capital(plain_name(self.decision.governing))} governs"
-        if library is not None:
-            text += ", with a strength of the library"
-            if library.weak is not None and library.strong is not None:
-                quantity = self.results.study.modes[library.mode].quantity
-                low, high = (value(x, quantity) for x in library.mean_strengths)
-                weak = self.number(library.weak)
-                strong = self.number(library.strong)
-                text += f" (weak {low}: {weak}; strong {high}: {strong})"
-            return f"{text}."
+        if self._library_governs:
+            return f"{text}, with a strength of the library{self._library_range}."
         for doubt in self._setting:
             clause = _words(doubt)[0]
             if doubt.code in ("tests", "computation"):
@@ -297,6 +293,26 @@ class DecisionText:
                 text += f"; the number is that of {plain_name(doubt.subject)}"
             text += f", {clause}"
         return f"{text}."
+
+    @property
+    def _library_governs(self) -> bool:
+        """Whether the strength of the library that is told of is that of what governs."""
+        library = self.decision.library
+        return library is not None and self.decision.governing == f"modes.{library.mode}"
+
+    @property
+    def _library_range(self) -> str:
+        """What both ends of a strength of the library make of the number."""
+        library = self.decision.library
+        if library is None or (self._library_governs and None in (library.weak, library.strong)):
+            return ""
+        quantity = self.results.study.modes[library.mode].quantity
+        low, high = (value(x, quantity) for x in library.mean_strengths)
+        weak = self.number(library.weak)
+        strong = "whole range"
+        if library.strong is not None:
+            strong = self.number(library.strong)
+        return f" (weak {low}: {weak}; strong {high}: {strong})"
 
     @property
     def _why_none(self) -> str:

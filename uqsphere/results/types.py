@@ -404,7 +404,9 @@ class Caveat(Part):
 
 
 class LibraryRange(Part):
-    """What a strength of the library, which governs, leaves open."""
+    """What a strength of the library leaves open: of the failure mode that governs, else of that
+    whose weak end leaves a more conservative number.
+    """
 
     mode: str
     weak: Finite
