@@ -251,10 +251,11 @@ def _local_errors(task: Task, finite: bool) -> tuple[float, float]:
     share = yielded = _LOCAL
     if task.wanted & tracked.WANT_DIFFERENCE:
         share = _LOCAL_DIFFERENCE
-    if not task.rigged and task.wanted & tracked.TO_THE_END and not finite:
-        share = min(share, _LOCAL_TAIL)
-    if finite and not task.rigged:
-        yielded = _LOCAL_YIELDED
+    if not task.rigged:
+        if finite:
+            yielded = _LOCAL_YIELDED
+        elif task.wanted & tracked.TO_THE_END:
+            share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
     local = share * task.tolerance
