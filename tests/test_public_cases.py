@@ -393,3 +393,29 @@ def test_rows_that_do_not_follow_the_law_are_refused_at_both_doors(rows: Any, re
     frame = pd.DataFrame(x, columns=["a", "b"]).assign(y=y)
     with pytest.raises(UsageError, match=reason):
         uqsphere.analyse(Study(inputs=AB, outputs="y"), frame)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda study: uqsphere.sample(study, -1), "count must be a whole number from 0 on"),
+        (lambda study: uqsphere.sample(study, 2.5), "count must be a whole number"),
+        (lambda study: uqsphere.design(study, "8"), "count must be a whole number"),
+        (lambda study: uqsphere.to_salib(study, 0), "count must be a whole number from 1 on"),
+        (lambda study: uqsphere.run(study, len, seconds=-1), "seconds must be a positive number"),
+        (lambda study: uqsphere.run(study, len, seconds=math.nan), "seconds must be a positive"),
+        (lambda study: uqsphere.run(study, len, seconds="5 s"), "seconds must be a positive"),
+    ],
+)
+def test_numbers_of_a_caller_are_numbers(call: Any, says: str) -> None:
+    """A negative time ended a run at its least rows; others raised what NumPy or SciPy say."""
+    study = Study(inputs=AB, outputs="y")
+    with pytest.raises(UsageError, match=says):
+        call(study)
+    assert len(uqsphere.sample(study, np.int64(3))) == 3
+    assert len(uqsphere.design(study, 0)) == 0
+
+
+def test_one_override_is_a_text() -> None:
+    tables = {"inputs": {"a": 1.0}, "outputs": {"names": ["y"]}}
+    assert uqsphere.load_study(tables, "inputs.a=2").fixed == {"a": 2.0}

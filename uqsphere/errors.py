@@ -2,6 +2,8 @@
 
 import sys
 from dataclasses import dataclass
+from operator import index
+from typing import SupportsIndex
 
 
 def as_text(value: object, longest: int = 300) -> str:
@@ -39,6 +41,23 @@ class UsageError(UqsphereError):
     """A command or a function was called with something it cannot take."""
 
     exit_code = 2
+
+
+def whole(value: SupportsIndex, name: str, least: int = 0) -> int:
+    """A whole number that a caller gives; UsageError for any other, and for a smaller one.
+
+    >>> whole(2.5, "count")
+    Traceback (most recent call last):
+    ...
+    uqsphere.errors.UsageError: count must be a whole number from 0 on, not 2.5
+    """
+    try:
+        number = index(value)
+    except TypeError:
+        number = least - 1
+    if number < least:
+        raise UsageError(f"{name} must be a whole number from {least} on, not {value!r}")
+    return number
 
 
 @dataclass(frozen=True, kw_only=True, order=True)

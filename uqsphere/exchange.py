@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uqsphere.arrays import Array, special
+from uqsphere.errors import whole
 from uqsphere.study import Study
 from uqsphere.uq import Joint, interop, random_generator, sobol_points
 
@@ -50,7 +51,7 @@ def sample(study: Study, count: int) -> "DataFrame":
     """
     laws = study.inputs()
     rng = random_generator(study.seed, "study sample")
-    return _table(laws, rng.standard_normal((count, len(laws.names))))
+    return _table(laws, rng.standard_normal((whole(count, "count"), len(laws.names))))
 
 
 def design(study: Study, count: int) -> "DataFrame":
@@ -67,7 +68,8 @@ def design(study: Study, count: int) -> "DataFrame":
     outputs, are for `analyse`.
     """
     laws = _inputs(study)
-    points = sobol_points(len(laws.names), count, seed=study.seed, task="slow")
+    size = len(laws.names)
+    points = sobol_points(size, whole(count, "count"), seed=study.seed, task="slow")
     return _table(laws, special.ndtri(points))
 
 
@@ -114,7 +116,9 @@ def to_salib(study: Study, count: int = 1024, *, second: bool = False) -> intero
     UsageError
         For inputs that depend on each other.
     """
-    return interop.to_salib(_inputs(study), count, second=second, seed=study.seed)
+    return interop.to_salib(
+        _inputs(study), whole(count, "count", 1), second=second, seed=study.seed
+    )
 
 
 def joint(study: Study) -> "Distribution":

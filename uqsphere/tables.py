@@ -142,8 +142,8 @@ def _is_compound(name: str, dimension: str) -> bool:
     "time t/ms" a symbol stands there.
     """
     before = re.split(r"[\s_,(\[]", name)[-1]
-    its_own = before in UNITS[dimension]
-    return (len(before) > 1 or before in "NJ") and before in _ALL_UNITS and not its_own
+    certain = len(before) > 1 or before in "NJ"
+    return certain and before in _ALL_UNITS - UNITS[dimension].keys()
 
 
 def _is_open(text: str) -> bool:

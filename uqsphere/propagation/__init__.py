@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,8 @@ def run(
     cache = None
     if seconds is None:
         seconds = study.analysis.budget.time
+    if not (isinstance(seconds, Real) and seconds > 0.0):
+        raise UsageError(f"seconds must be a positive number, not {seconds!r}")
     with contextlib.ExitStack() as stack:
         shown = progress or stack.enter_context(watched())
         if out is not None:

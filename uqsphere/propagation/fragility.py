@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from uqsphere.arrays import Array, frozen
-from uqsphere.errors import UsageError
+from uqsphere.errors import UsageError, whole
 from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, estimate_row, number_row
@@ -160,7 +160,8 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
     if study.black_box or margins is None:
         raise UsageError("fragility curves need an impact scene whose [margins] vary one number")
     design = Design.of(study)
-    counts = dict.fromkeys(grid(margins, values), max(round(rows / REPLICATES), 2))
+    count = max(round(whole(rows, "rows", 1) / REPLICATES), 2)
+    counts = dict.fromkeys(grid(margins, whole(values, "values", 2)), count)
     with Model(design.judged) as model:
         line = evaluated_at(design, model, {}, counts)
     tables = Tables(design=design, sample=next(iter(line.values())), line=line)

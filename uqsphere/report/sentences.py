@@ -340,13 +340,12 @@ class DecisionText:
     @property
     def _event(self) -> str:
         """What the probability of the decision is of."""
-        joint = any(doubt.joint for doubt in self._governing)
-        return self._event_of(self.decision.governing, joint)
+        return self._event_of(self.decision.governing, self._governing)
 
-    def _event_of(self, subject: str, joint: bool) -> str:
+    def _event_of(self, subject: str, doubts: Sequence[Doubt]) -> str:
         """What the probability by a limit is of, alone or with what adds up to fracture."""
         entry = self.results.study.limits.get(plain_name(subject))
-        if entry is None or entry.fracture or joint:
+        if entry is None or entry.fracture or any(doubt.joint for doubt in doubts):
             return "fracture probability"
         return "probability of exceedance"
 
@@ -402,7 +401,7 @@ class DecisionText:
             p = probability_at_target(aim, worst.at_plan, worst.target)
             side = "down to" if aim == "break" else "up to"
             words = f"({plain_name(worst.subject)}, {_words(worst)[0]})"
-            event = self._event_of(worst.subject, worst.joint)
+            event = self._event_of(worst.subject, [worst])
             yield f"{event} at the planned value {side} {p} {words}"
 
 

@@ -254,7 +254,7 @@ def _named(raw: Any) -> Any:
     """The limits by their names; a key of one without a name is told once for all of them."""
     if isinstance(raw, dict):
         for key, table in raw.items():
-            if key in LimitTable.model_fields and not isinstance(table, dict):
+            if not isinstance(table, dict):
                 raise Fault(f"must be a table with a name, [limits.NAME], not {shown(table)}", key)
     return raw
 

@@ -67,6 +67,8 @@ def load_study(
         text = toml_text(path, law_table)
         path = "study.toml"
     path = Path(path)
+    if isinstance(overrides, str):
+        overrides = (overrides,)
     if text is None:
         text = read_text(path)
     data = parse_text(text, path)
