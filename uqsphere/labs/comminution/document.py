@@ -47,7 +47,7 @@ class Lognormal(Section):
     """A lognormal prior or scatter: logarithm of the median, and sd of the logarithm."""
 
     log_mean: float
-    log_sd: Positive
+    log_sd: Positive = Field(allow_inf_nan=True)
 
 
 class TestsTable(Section):
