@@ -4,6 +4,7 @@ scaled scenes.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.independent.motion import Law, Motion, Pole, march
+from tests.independent.motion import FREE, Law, Motion, Pole, march
 from uqsphere.mechanics.closed_form import solve_closed
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Task, march_rows, motion, solve
@@ -253,6 +254,9 @@ def test_the_record_of_a_rod_goes_on_until_its_echo_has_acted() -> None:
         rig(mu=1.0, speed=1.0, B={"zeta": 1.2, "trip": 12.0, "end": -1.0}),
         rig(mu=1.0, speed=1.0, B={"zeta": 0.7, "trip": 9.0, "end": -0.4}),
         rig(mu=0.3, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.8, "trip": 15.0, "end": 1.0}),
+        # the sphere follows the rod, whose free end holds the gap open
+        rig(mu=0.02, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.14, "trip": 2.6, "end": 1.0}),
+        rig(mu=0.3, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.5, "trip": 1.0, "end": 1.0}),
     ],
 )
 def test_nothing_follows_the_record_of_a_rod(row: Row) -> None:
@@ -268,6 +272,52 @@ def test_nothing_follows_the_record_of_a_rod(row: Row) -> None:
             assert found["x"][k] == pytest.approx(largest, rel=1e-7)
     impulse = other.state[7:9].mean() / found["mean_force"]
     assert found["duration"] == pytest.approx(impulse, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        rig(mu=0.3, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.8, "trip": 2.6, "end": 0.7}),
+        rig(mu=0.02, A={"mu": 1.0, "V": 1.0}, B={"zeta": 0.5, "trip": 2.6, "end": 0.5}),
+    ],
+)
+def test_a_gap_that_echoes_hold_open_for_a_time_is_closed_in_the_end(row: Row) -> None:
+    """The rod comes to rest, and the sphere that follows it strikes it again after ten round trips;
+    against a second integrator, which goes through all of them.
+    """
+    found = kernel([row])[0]
+    trip = row["poles"][1]["trip"]
+    assert found["parting"] > found["contact"] + 8.0 * trip
+    record = float(found["parting"]) + 2.0 * trip
+    jumps = np.arange(trip, record, trip).tolist()
+    other = second(row, 1e-10, stop="end", record=record, jumps=jumps)
+    speeds = np.array([found["sphere_speed"], *found["end_speed"]])
+    assert speeds == pytest.approx(other.state[2:5], abs=1e-6)
+    last = [
+        piece.times[0]
+        for piece in other.pieces
+        if all(law is None or law.state == FREE for law in piece.laws)
+    ]
+    pressed = [piece for piece in other.pieces if piece.times[0] < last[-1]]
+    before = found["parting"] * (1.0 - 1e-6)
+    assert max(piece.times[-1] for piece in pressed) >= before
+    for k in (0, 1):
+        assert found["x"][k] == pytest.approx(other.top(lambda rows, k=k: rows[k]), rel=1e-7)
+
+
+def test_a_flight_of_a_million_round_trips_takes_few_steps() -> None:
+    """Far ends that lose little of a wave hold a gap open for long; a free one may for ever."""
+    ends = (1.0, 1.0 - 1e-9, 1.0 - 1e-6, 1.0 - 1e-4, 0.99, 0.9, -0.9, -1.0)
+    weight = {"mu": 1.0, "V": 1.0}
+    rows = [
+        rig(mu=mu, A=weight, B={"zeta": zeta, "trip": trip, "end": end})
+        for mu, zeta, trip, end in itertools.product(
+            (0.02, 0.3), (0.14, 0.5), (0.5, 1.0, 2.6, 3.1), ends
+        )
+    ]
+    found = kernel(rows, 1e-4)
+    assert (found["status"] == tracked.OK).all()
+    assert found["steps"].max() < 1e-3 * found["parting"].max()
 
 
 def test_the_bodies_never_close() -> None:

@@ -498,7 +498,7 @@ def _bound(s, j, kind):
 
 
 #: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
-_NODES, _WEIGHTS = (
+NODES, WEIGHTS = (
     0.5 * (array + shift)
     for array, shift in zip(np.polynomial.legendre.leggauss(WAVE), (1.0, 0.0), strict=True)
 )
@@ -517,9 +517,9 @@ def _note_impulse(s, j, theta):
     if lane.touching or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):
-                x = value_of(s.x, m, theta * _NODES[i] * _NODES[i])
+                x = value_of(s.x, m, theta * NODES[i] * NODES[i])
                 force, _ = face_force(s, m, x)
-                impulse += _WEIGHTS[i] * _NODES[i] * force
+                impulse += WEIGHTS[i] * NODES[i] * force
     else:
         for k in range(ORDER, -1, -1):
             mean = 0.5 * (s.force[k, j] + s.force[k, LANES + j])
@@ -534,25 +534,9 @@ def _note_squared_forces(s, j, theta):
     for face in range(2):
         total = 0.0
         for i in range(WAVE):
-            force = value_of(s.force, face * LANES + j, theta * _NODES[i])
-            total += _WEIGHTS[i] * force * force
+            force = value_of(s.force, face * LANES + j, theta * NODES[i])
+            total += WEIGHTS[i] * force * force
         lane.carried[face] += total * theta * s.h[j]
-
-
-@compiled
-def next_touch(s, j):
-    """How long until a gap closes while no force acts: inf if both grow for ever, NaN while a face
-    is pressed.
-    """
-    closing = inf
-    for face in range(2):
-        m = face * LANES + j
-        if s.x[0, m] > 0.0:
-            return nan
-        rate = s.there[m] * (s.free[0, m] + (2.0 * face - 1.0) * s.u[0, j])
-        if rate > 0.0:
-            closing = min(closing, -s.x[0, m] / rate)
-    return closing
 
 
 @compiled

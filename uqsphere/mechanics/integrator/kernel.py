@@ -20,8 +20,8 @@ lane one step:
               it (`_judge`); a lane that is done leaves (`_leave`)
 
 A record ends at the horizon; between infinite bars without one, once the pulse is over, when both
-forces are below a share of the largest for the first time; of a rig once all gaps grow and no echo
-can close them.  It ends sooner where nothing that is wanted can change any more: no largest value
+forces are below a share of the largest for the first time; of a rig once no gap can close
+again.  It ends sooner where nothing that is wanted can change any more: no largest value
 can grow under a steady wave (`records.no_later_peak`); or, at a loss of contact, no approach can
 (`records.no_higher_approach`) or no wave can press harder (`records.no_harder_squeeze`).
 
@@ -55,6 +55,9 @@ from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, TERMS, End
 GROWTH, GROWTH_ECHO = 4.0, 1.3
 #: steps a row may take at most: one that takes more is given up
 LIMIT = 1 << 20
+#: steps tried at one time before a row is given up: one that fails is halved 50 times at most, and
+#: one that holds may have no length
+ATTEMPTS = 1_000
 #: errors allowed in one step that the series of the root may part from the root at the step's end,
 #: as the impulse of that difference over the whole step.  At 100 a light sphere between bars, whose
 #: speed errs by as much at every near loss, had P_max 27 tolerances off (campaign sweep, each
@@ -148,6 +151,7 @@ def _enter(s, j, r, rows):
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
     quickest = max(1.0 / rows.mass[r], 1.0)
     stiffest = 1.0
+    closes = 0.0
     # first guesses: scales that are too small cost steps, too large ones accuracy
     s.u_size[j] = 0.1 * level
     if s.rigged:
@@ -169,6 +173,7 @@ def _enter(s, j, r, rows):
         if pole.lightness > 0.0:
             s.free_size[m] = 0.1 * min(1.0, pole.lightness)
         lane.touched[face] = 1.0 - pole.there
+        closes = max(closes, records.closing_rate(s, j, face))
         quickest = max(quickest, pole.lightness)
         stiffest = max(stiffest, pole.stiffness)
     lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
@@ -179,7 +184,7 @@ def _enter(s, j, r, rows):
     incoming.enter_piece(s, j, rows)
     incoming.reflect_break(s, j)
     lane.stop = incoming.next_break(s, j, rows)
-    if s.rigged and not events.next_touch(s, j) < inf:
+    if s.rigged and closes <= 0.0:
         lane.fate = tracked.NEVER_CLOSES
 
 
@@ -306,6 +311,10 @@ def _holds(s, j):
     shorter, or the row given up.
     """
     lane = s.lane[j]
+    lane.attempts += 1
+    if lane.attempts > ATTEMPTS:
+        lane.fate = tracked.STUCK
+        return False
     if lane.by_law and not lane.touching and _change_branch(s, j):
         return False
     if s.has_laws and lane.touching:
@@ -320,7 +329,6 @@ def _holds(s, j):
     misfit = left_out > s.error[j] * min(s.size[j], s.size[LANES + j])
     if not (crossed or overflowed or misfit):
         return True
-    lane.attempts += 1
     if crossed:
         lane.proposed = 0.5 * s.theta[j] * s.h[j]
     elif overflowed:
@@ -332,7 +340,7 @@ def _holds(s, j):
         if joints > 0 and not lane.single:
             lane.single = 1
             lane.proposed = s.h[j]
-    if lane.proposed <= 1e-15 * (1.0 + lane.time) or lane.attempts > 10 * LIMIT:
+    if lane.proposed <= 1e-15 * (1.0 + lane.time):
         lane.fate = tracked.STUCK
     return False
 
@@ -428,11 +436,13 @@ def _turn(s, j, ending, made):
     at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
     at_stop = at_stop and lane.why < End.CONTACT
     _move_on(s, j, ending)
+    if lane.time + ending * s.h[j] > lane.time:
+        lane.attempts = 0
     lane.time += ending * s.h[j]
     if at_stop:
         lane.time = lane.stop
     if s.rigged and not lane.touching:
-        ahead = events.next_touch(s, j)
+        ahead = records.next_touch(s, j, made)
     _propose(s, j, ending, at_stop, ahead)
     lane.fate = _fate(s, j, ending, at_stop, ahead, made)
     return at_stop and lane.fate == GOES_ON
@@ -444,7 +454,7 @@ def _fate(s, j, ending, at_stop, ahead, made):
     lane = s.lane[j]
     if lane.why == End.RECORD:
         return tracked.OK
-    if ahead == inf and lane.time >= records.echoes_have_acted(s, j):
+    if ahead == inf:
         return tracked.OK
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
@@ -525,7 +535,7 @@ def _move_on(s, j, ending):
 
 @compiled(inline=True)
 def _propose(s, j, ending, at_stop, ahead):
-    """How long the next step may be; ahead: until a gap closes in free flight, else NaN."""
+    """How long the next step may be; ahead: `records.next_touch`, NaN while a face is pressed."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
     kept_up = 0.0
@@ -537,10 +547,8 @@ def _propose(s, j, ending, at_stop, ahead):
     lane.proposed = max(ending * s.h[j] * growth, kept_up)
     if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         lane.proposed = max(lane.proposed, s.h[j])
-    if ahead < inf:  # free flight is linear in time: one step to the touch
+    if 0.0 < ahead < inf:  # free flight is linear in time: one step to the touch, or an echo's
         lane.proposed = 1.001 * ahead
-    elif ahead == inf:
-        lane.proposed = 1e30
 
 
 @compiled(inline=True)

@@ -1,4 +1,18 @@
-"""When a record ends: of a rig once its echoes have acted, of bars once no harder squeeze can come.
+"""When a record ends: of a rig once no gap can close, of bars once no harder squeeze can come.
+
+The gaps of a rig open and close evenly while no force acts, but for the echoes in its bar.  What a
+face sends out while its gap is open comes back as the same wave times R, so that from then on every
+round trip repeats the last one, times R.  A contact sends compression into a bar:
+
+    R >= 0   comes back as tension, which only opens the gap.  One that grows without echoes never
+             closes.  One that does not closes in the end where R < 1; where R = 1, only if a round
+             trip closes it by more than the echoes open it
+    R < 0    comes back as compression, and what the gap's free end returns of that as tension, with
+             alternating signs: two round trips after the last contact every echo of it has come
+             once with either sign, each later one is weaker, and the gap has grown in between
+
+A gap that closes in the end may do so after a million round trips: those in which it cannot are
+passed in one leap (`_leap`).
 
 The record of two bars ends at the first loss of contact after which the faces can no longer squeeze
 the sphere harder than they have.  With s = (x_A + x_B)/2 the sphere's motion drops out of (9),
@@ -19,11 +33,11 @@ Scaled variables.
 from __future__ import annotations
 
 import math
-from math import inf
+from math import inf, nan
 
 from . import tracked
 from .compiled import compiled
-from .events import OF_BOTH, first_at, follows, highest_between, rise_of
+from .events import NODES, OF_BOTH, WEIGHTS, first_at, follows, highest_between, rise_of
 from .faces import largest_approach, largest_force, stored_energy
 from .incoming import step_end
 from .tracked import (
@@ -39,34 +53,113 @@ from .tracked import (
     MEAN,
     PAIR,
     SHARE,
+    TERMS,
+    WAVE,
 )
 
 #: parts of a step of which a wave is bounded one by one
 _PARTS = 2
 #: cells of all round trips that are followed at most; a row that needs more goes on
 _MOST_CELLS = 4096
+#: round trips after which a gap that has not closed never does: its rate is zero but for rounding
+_FOREVER = 1e9
 #: mass number below which the sphere swings many times while the force dies out
 _LIGHT = 0.02
 
 
 @compiled
-def echoes_have_acted(s, j):
-    """Time from which no echo can close the gaps of a rig again that both grow.
-
-    A contact sends compression into a bar.  A far end with R >= 0 sends it back as tension, which
-    only opens the gap.  One with R < 0 sends back compression; what the gap's free end returns of
-    that comes back as tension, and so on with alternating signs: two round trips after the last
-    contact every echo of it has come once with either sign, each later one is weaker (|R| <= 1),
-    and the gap has grown in between.
+def next_touch(s, j, made):
+    """How long until a gap of a rig closes while no force acts: inf if none closes again, at most a
+    round trip as long as an echo may close one, NaN while a face is pressed.
     """
     lane = s.lane[j]
-    wait = 0.0
-    for bar in range(2):
-        if lane.reflect[bar] < 0.0 and lane.trips[bar] < inf:
-            wait = max(wait, 2.0 * lane.trips[bar])
-    if wait == 0.0:
-        return -inf
-    return lane.parted + wait * (1.0 + 1e-12)
+    if max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+        return nan
+    ahead = inf
+    for face in range(2):
+        rate = closing_rate(s, j, face)
+        if lane.trips[face] < inf:
+            if not _stays_open(s, j, face, made, ahead):
+                ahead = min(ahead, lane.trips[face])
+        elif rate > 0.0:
+            ahead = min(ahead, -s.x[0, face * LANES + j] / rate)
+    return ahead
+
+
+@compiled
+def closing_rate(s, j, face):
+    """Rate at which a gap closes while no force acts, but for echoes."""
+    m = face * LANES + j
+    return s.there[m] * (s.free[0, m] + (2.0 * face - 1.0) * s.u[0, j])
+
+
+@compiled
+def _stays_open(s, j, bar, made, ahead):
+    """Whether the gap at the bar of a rig never closes again while no force acts.
+
+    Else the bodies move on by the round trips in which no gap closes; ahead: until the other one
+    does.
+    """
+    lane = s.lane[j]
+    rate = closing_rate(s, j, bar)
+    trip = lane.trips[bar]
+    share = lane.reflect[bar]
+    waited = lane.time >= lane.parted + 2.0 * trip * (1.0 + 1e-12)
+    if share < 0.0:
+        return waited and rate <= 0.0
+    if not waited or (rate <= 0.0 and ahead == inf):
+        return rate <= 0.0
+    # each round trip repeats what is left of the echoes of the last one, which only open
+    begin = lane.time - trip
+    opens = 0.0
+    for step in range(lane.first[bar], lane.count):
+        kept = made[j, step & (s.ring - 1)]
+        first = max(begin - kept.began, 0.0) / kept.unit
+        width = max(kept.holds / kept.unit - first, 0.0)
+        for i in range(WAVE):
+            wave, _ = rise_of(kept.wave, bar, first + width * NODES[i])
+            opens -= 2.0 * share * WEIGHTS[i] * wave * width * kept.unit
+    # a gap stays open while it exceeds what it closes by without echoes; and, where it was open all
+    # over the last round trip, until it is as wide after n more as the same share R^n of it: the n
+    # powers of R that the echoes then add up to exceed n - n (n - 1) (1 - R)/2
+    closes = rate * trip
+    gap = -s.x[0, bar * LANES + j]
+    trips = inf
+    if closes > 0.0:
+        trips = gap / closes
+        holds = opens + (1.0 - share) * gap
+        if holds > closes:
+            trips = max(trips, 1.0 + 2.0 * (1.0 - closes / holds) / (1.0 - share))
+    never = trips > _FOREVER
+    trips = min(min(trips, _FOREVER), min(ahead, lane.end - lane.time) / trip)
+    whole = math.ceil(trips) - 1
+    if whole < 1 or (never and ahead == inf) or s.wanted & tracked.WANT_MOTION:
+        return never
+    left = share**whole
+    if share < 1.0:
+        opens *= (1.0 - left) / (1.0 - share)
+    else:
+        opens *= whole
+    s.x[0, bar * LANES + j] -= opens
+    _leap(s, j, bar, made, whole * trip, left)
+    return False
+
+
+@compiled
+def _leap(s, j, bar, made, length, left):
+    """Move the bodies of a rig and the waves in its bar on by a time; left: share of the waves that
+    is left then.
+    """
+    lane = s.lane[j]
+    for face in range(2):
+        s.x[0, face * LANES + j] += length * closing_rate(s, j, face)
+    for step in range(lane.first[bar], lane.count):
+        kept = made[j, step & (s.ring - 1)]
+        kept.began += length
+        for k in range(TERMS):
+            kept.wave[k, bar] *= left
+    lane.time += length
+    lane.stop = min(lane.stop + length, lane.end)
 
 
 @compiled

@@ -169,7 +169,7 @@ class Rows(NamedTuple):
     breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
     inf for the rule of infinite bars.  poles (n, 2): `POLE`.  speed (n,): u at the start.
     Whether faces are alike and elastic, or stand on two bars, is in the state (`has_laws`,
-    `rigged`).  The record of other rigs than bars ends when the bodies part; no pulse comes in.
+    `rigged`).  In other rigs than bars no pulse comes in, and one far end at most sends waves back.
     """
 
     mass: Array
@@ -225,7 +225,7 @@ LANE = np.dtype(
             "number",  # its number, -1 for an idle lane; enter, leave
             "place_in_order",  # its place among the rows asked for; march
             "count",  # steps taken; keep
-            "attempts",  # steps tried again; holds
+            "attempts",  # steps tried since the time last rose; holds, turn
             "fate",  # status it leaves with, or -1; enter, holds, turn, judge, jump
             # the step
             "touching",  # 1 where it starts from a touch; enter, move_on
