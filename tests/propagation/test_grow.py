@@ -168,6 +168,7 @@ def test_an_unsure_search_takes_the_place_of_no_sample_that_knows_more() -> None
     met = _searched(unsure, estimate(6e-4, 2e-4, 1.5e-3, 8192))
     assert met.value == 6e-4
     # room for what the sample may have missed too
+    assert met.low == 0.0
     assert met.high == pytest.approx(1.5e-3 + 3.0 / 8192, rel=0.01)
     none = estimate(0.0, 0.0, 3.7e-4, 8192)
     assert _searched(unsure, none).value == 1e-5

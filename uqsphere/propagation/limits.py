@@ -78,14 +78,15 @@ def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
     for less than the search, it answers.
     """
     missed = count_bound(sampled.evaluations)
+    low = sampled.low or 0.0
     most = min((sampled.high or 1.0) + missed, 1.0)
-    if searched.value and (sampled.low or 0.0) > (searched.high or 1.0):
+    if searched.value and low > (searched.high or 1.0):
         # the sample has met failures that the search missed
         return sampled.holding(searched)
     if not searched.value or 0.5 * most < searched.half_width:
         # such a search knows no more than the sample does
         if sampled.value:
-            return replace(sampled, high=most)
+            return replace(sampled, low=max(low - missed, 0.0), high=most)
         high = min(searched.high or 1.0, sampled.high or 1.0)
         if searched.value and searched.value < high:
             return replace(searched, high=high, high_unseen=None)
