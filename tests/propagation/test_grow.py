@@ -18,6 +18,7 @@ from uqsphere.propagation.limits import _searched
 from uqsphere.propagation.tables import Accuracy, Tables, evaluate
 from uqsphere.study import Study, load_study
 from uqsphere.uq import Estimate, Sample
+from uqsphere.uq.estimate import count_bound
 
 grow = sys.modules["uqsphere.propagation.grow"]
 STUDY = """
@@ -133,11 +134,11 @@ def estimate(value: float, low: float, high: float, runs: int) -> Estimate:
 
 def test_failures_that_a_search_misses_and_the_sample_meets_are_in_the_interval() -> None:
     search, sample = estimate(3e-6, 2.9e-6, 3.1e-6, 30_000), estimate(2e-4, 1e-4, 4e-4, 65_536)
-    both = _searched(search, sample)
+    both = _searched(search, sample, count_bound(65_536))
     assert both.low == 2.9e-6
     assert both.value == 2e-4
     assert both.high == 4e-4
-    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536))
+    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536), count_bound(65_536))
     assert alone.high == 3.1e-6
     assert alone.high_unseen == pytest.approx(3.1e-6 + 3.0 / 65_536, rel=0.01)
 

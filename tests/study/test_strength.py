@@ -616,6 +616,15 @@ def test_a_shape_that_no_law_has_is_warned_of(load: Load) -> None:
     assert any("neither a Weibull nor a lognormal" in text for text in warnings)
 
 
+def test_rounded_tests_are_no_shape_of_their_own(load: Load) -> None:
+    forces = np.random.default_rng(5).lognormal(7.0, 0.1, 200)
+    rows = [f"12,{50.0 * np.round(force / 50.0):.0f}" for force in forces]
+    warnings = load(
+        FORCES, "\n".join(["D,F", *rows]), 'criterion = "core_tension"', PELLET
+    ).warnings
+    assert not any("neither a Weibull nor a lognormal" in text for text in warnings)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

@@ -94,6 +94,20 @@ def test_a_wrong_law_is_seen() -> None:
     assert make_tests(COMPLETE).fit(draws=200).p_value > 0.01
 
 
+@pytest.mark.parametrize("step", [0.05, 0.2, 0.4])
+def test_rounding_is_no_misfit(step: float) -> None:
+    """Equal values of one law are cells of it; two laws are two, however they are rounded."""
+    rng = np.random.default_rng(3)
+    one = 2.0 * rng.weibull(6.0, 400)
+    two = np.concatenate([0.5 * one, 2.0 * one])
+    p_one, p_two = (
+        series_of.probability_of(STRENGTHS["weibull"])
+        for series_of in (make_tests(np.maximum(np.round(x / step), 1) * step) for x in (one, two))
+    )
+    assert p_one > 0.05
+    assert p_two < 0.01
+
+
 @pytest.mark.parametrize(
     ("values", "stopped", "says"),
     [

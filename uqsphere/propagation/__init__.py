@@ -164,6 +164,7 @@ def run(
         answers += fracture(tables, by_own_limits(judged))
         answers += salib_indices(tables, evaluator)
         answers += assumed_answers(judged)
+        answers = [*map(tables.of_answered, answers)]
         checked = [*checks(tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
         answers += decision_answers(design, decisions)

@@ -66,21 +66,21 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         _, rows = input_rows(plan.rows)
         yield from _later_loading(design, rows)
         yield from _out_of_reach(design, rows)
-    failed = sample.failed.mean()
-    if isinstance(tables, Slow):
-        failed = tables.dropped or failed
+    failed = tables.failed
     if failed > 0.0:
-        effect = "left out"
+        effect = "left out: answers are of those that answered"
         if design.analysis.policy == "bound":
-            effect = "intervals widened"
-        if isinstance(tables, Slow) and tables.dropped and tables.predicted is not None:
+            effect = (
+                "intervals widened; mean, standard deviation and indices are of those that answered"
+            )
+        if isinstance(tables, Slow) and tables.predicted is not None:
             effect = "in their place stand predictions from the runs that did not"
         yield Check(
             name="failed_rows",
             share=failed,
             grade="warning",
             text=f"{format_probability(failed)} of the model runs failed",
-            effect=effect,
+            effect=f"{effect}; verdict and number to use hold whatever they would have been",
         )
     margins = design.study.moving
     if margins is not None and tables.line:

@@ -21,7 +21,7 @@ from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, carriers, probability_ends, spread, spreads
+from uqsphere.uq.estimate import ENDS, carriers, lost_share, probability_ends, spread, spreads
 from uqsphere.uq.fitting import STRENGTHS, fitted_law, is_fitted, possible_laws, series_behind
 from uqsphere.uq.joint import FREE
 from uqsphere.uq.limit_state import make_union
@@ -399,10 +399,16 @@ class Curves:
         margin where too few rows carry the failures beside it.
         """
         base = self.base(limit)
-        carried_by = self._carrying(limit)
+        rows = self._exceeded(limit)
+        carried_by = [*map(self._carrying, rows)]
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
         if self.line.compared is not None:
             curves = self._by_rows(limit, base, self.line.compared)
+        # the failed rows that are left out would all have been on the unsafe side
+        for curve, exceeded in zip(curves, rows, strict=True):
+            lost = [lost_share(np.isnan(part)) for part in self.line.by_value(exceeded)]
+            curve += lost if self.survive else np.negative(lost)
+        curves = [np.clip(curve, 0.0, 1.0) for curve in curves]
         doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
@@ -459,17 +465,19 @@ class Curves:
             from_unsafe = slice(None)
         return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
 
-    def _carrying(self, limit: Limit) -> list[list[float]]:
-        """The rows of each value that carry the failures of a limit, alone and with the other
-        failure modes; infinite where none does.
+    def _exceeded(self, limit: Limit) -> Pair:
+        """Probabilities (R, N) of exceedance of a limit by its own strength, alone and with the
+        other failure modes.
         """
         alone = exceedance(self.line.state(limit), self.survive)
-        joint = self.others.get(limit.name, Others()).or_any(alone)
-        carried_by = []
-        for exceeded in (alone, joint):
-            failing = np.nan_to_num(exceeded if self.survive else 1.0 - exceeded)
-            carried_by.append([carriers(part) or math.inf for part in self.line.by_value(failing)])
-        return carried_by
+        return alone, self.others.get(limit.name, Others()).or_any(alone)
+
+    def _carrying(self, exceeded: Array) -> list[float]:
+        """The rows of each value that carry failures, by probabilities (R, N) of exceedance;
+        infinite where none does.
+        """
+        failing = np.nan_to_num(exceeded if self.survive else 1.0 - exceeded)
+        return [carriers(part) or math.inf for part in self.line.by_value(failing)]
 
     def _counted(self, limit: Limit) -> bool:
         """Whether rows of a limit are counted: its strength takes few values, or ends where demands

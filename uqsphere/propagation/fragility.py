@@ -19,7 +19,7 @@ from uqsphere.study import Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-from uqsphere.uq.estimate import REPLICATES, absent, carriers
+from uqsphere.uq.estimate import REPLICATES, absent, carriers, lost_share
 
 from .design import VALUES, Design
 from .free_number import demand_factor, grid
@@ -71,28 +71,38 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     line = tables.line
     if margins.limit is not None:
         line = dict.fromkeys(grid(margins), tables.sample)
-    means, carrying = _along(design, line, limit)
+    means, carrying, lost = _along(design, line, limit)
     ends = None
     if tables.compared is not None:
         ends = ends_by_rows(design, tables.compared, limit, line, means[0])
-    return fragility_of(
-        np.array([*line]),
-        np.clip(means, 0.0, 1.0),
-        targets or sorted({*margins.for_probability, limit.allowable}),
-        samples=[rows.count for rows in line.values()],
-        carrying=carrying,
-        ends=ends,
-    )
+
+    def fitted(shift: Array | float = 0.0) -> Fragility:
+        return fragility_of(
+            np.array([*line]),
+            np.clip(means + shift, 0.0, 1.0),
+            targets or sorted({*margins.for_probability, limit.allowable}),
+            samples=[rows.count for rows in line.values()],
+            carrying=carrying,
+            ends=ends,
+        )
+
+    if not lost.any():
+        return fitted()
+    # of the rows that answered, between what it is if the others had all been on either side
+    bounds = fitted(-lost[:, None]), fitted(lost[:, None])
+    return fitted().allowing(bounds)
 
 
 def _along(
     design: Design, line: Mapping[float, Sample], limit: Limit
-) -> tuple[Array, Sequence[float]]:
+) -> tuple[Array, Sequence[float], Array]:
     """Mean probabilities (3, K, R) of exceedance of a limit at each value of a line: as computed,
     and where as few and as many as possible exceed of the rows whose record ended too early or that
-    failed.  Beside them how many rows carry them, or their complement if fewer do (K,).
+    failed.  Beside them how many rows carry them, or their complement if fewer do (K,), and the
+    shares (K,) that may fail and are left out.
     """
     means = []
+    lost = []
     carrying = []
     for value, sample in line.items():
         state = state_of(design, limit, sample)
@@ -107,7 +117,8 @@ def _along(
                 np.nanmean(exceedance(moved, survive), axis=1) for survive in (False, True)
             )
         means.append([mean, least, most])
-    return np.moveaxis(np.array(means), 1, 0), carrying
+        lost.append(lost_share(state.broken) * (state.on_failure == "drop"))
+    return np.moveaxis(np.array(means), 1, 0), carrying, np.array(lost)
 
 
 def margin_and_scale(tables: Tables, limit: Limit) -> tuple[Estimate, float | None]:

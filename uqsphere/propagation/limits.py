@@ -59,9 +59,11 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
     column = limit.column
-    sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
+    state = state_of(design, limit, tables.sample)
+    sampled = state.failure_of_aim(limit.aim)
     if limit.name in tables.rare:
-        return _searched(tables.rare[limit.name].estimate, sampled)
+        missed = count_bound((~state.broken).sum(), state.broken.sum())
+        return _searched(tables.rare[limit.name].estimate, sampled, missed)
     constant = not design.variables and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
@@ -72,12 +74,11 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     )
 
 
-def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
+def _searched(searched: Estimate, sampled: Estimate, missed: float) -> Estimate:
     """The answer of a search, beside that of the plain sample: failures that the search did not aim
-    at are no more probable than a sample without them allows.  Where the sample by itself allows
+    at are no more probable than what the sample may have missed.  Where the sample by itself allows
     for less than the search, it answers.
     """
-    missed = count_bound(sampled.evaluations)
     low = sampled.low or 0.0
     most = min((sampled.high or 1.0) + missed, 1.0)
     if searched.value and low > (searched.high or 1.0):
@@ -86,12 +87,14 @@ def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
     if not searched.value or 0.5 * most < searched.half_width:
         # such a search knows no more than the sample does
         if sampled.value:
-            return replace(sampled, low=max(low - missed, 0.0), high=most)
+            low = max(low - missed, 0.0)
+            return replace(sampled, low=low, high=most, low_unseen=None, high_unseen=None)
         high = min(searched.high or 1.0, sampled.high or 1.0)
         if searched.value and searched.value < high:
-            return replace(searched, high=high, high_unseen=None)
+            return replace(searched, high=high, high_unseen=sampled.high_unseen)
         reason = f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
-        return absent(reason, searched.method, searched.evaluations, below=high)
+        bounds = absent(reason, searched.method, searched.evaluations, below=high)
+        return replace(bounds, high_unseen=sampled.high_unseen)
     unseen = min((searched.high or 1.0) + missed, searched.high_unseen or 1.0)
     return replace(searched, high_unseen=unseen)
 

@@ -183,7 +183,8 @@ def ends_by_rows(
         ]
         away = np.hypot(away, fold_spread(np.transpose(by_folds)))
     ends = middle + sides * away
-    return np.clip([*ends, *(ends + sides * count_bound(compared.sample.count))], 0.0, 1.0)
+    missed = count_bound(compared.sample.count, compared.failed)
+    return np.clip([*ends, *(ends + sides * missed)], 0.0, 1.0)
 
 
 def _common_error(products: Array, systematic: bool) -> float:

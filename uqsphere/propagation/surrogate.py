@@ -196,7 +196,10 @@ def tables_of(
     compared = None
     margins = design.study.margins
     if margins is not None and margins.limit is not None and slow.predicted is not None:
-        compared = Compared(sample=_compared(slow.rows, [*slow.responses.values()]))
+        compared = Compared(
+            sample=_compared(slow.rows, [*slow.responses.values()]),
+            failed=slow.dropped,
+        )
     tables: Tables = replace(slow, compared=compared)
     if not along:
         tables = replace(tables, without_line="rows that are given do not vary the free number")
@@ -250,13 +253,14 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     themselves, in blocks that stand for replicates, where a column is too rough for its expansions,
     or where these would extrapolate into a region in which the model fails.
     """
-    dropped = 0.0
+    dropped = 0
     apart = False
+    every = rows
     if design.analysis.policy == "drop" and rows.failed.any():
         failed = rows.failed[0]
         inputs = rows.scores[0, :, : len(design.inputs)]
         apart = lie_apart(inputs[failed], inputs[~failed])
-        dropped = failed.mean()
+        dropped = int(failed.sum())
         rows = rows.where(~failed)
     responses: dict[str, Response] = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
@@ -274,7 +278,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
                 "analysis.budget"
             )
         count = counts[0]
-        sample = rows.head(rows.count // count * count).in_blocks(count)
+        sample = every.head(every.count // count * count).in_blocks(count)
     return Slow(
         design=design,
         evaluated=rows,
@@ -384,6 +388,7 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
         sample=_compared(rows.where(good), fits).where(order),
         values=values[good][order],
         folds=[folds[value] for value in line],
+        failed=int((~good).sum()),
     )
     return replace(tables, line=line, compared=compared)
 

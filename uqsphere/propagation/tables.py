@@ -5,7 +5,7 @@ one way in which points become rows.
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
 from uqsphere.quantities import format_probability
-from uqsphere.results.types import IndexMethod, Stop
+from uqsphere.results.types import Answer, IndexMethod, Kind, Stop
 from uqsphere.study import limit_of
 from uqsphere.uq import Estimate, Sample, absent, exact
 from uqsphere.uq.corrected import Corrected, indices_of
@@ -32,6 +32,14 @@ from .design import Design, with_test_forces
 MANY = 16
 MOST_MANY = 1 << 16
 ROUGH = "runs of the model"
+#: what answers are of where model runs failed
+OF_ANSWERED = "of the model runs that answered"
+#: answers whose ends can allow for model runs that failed, whatever these would have been: they are
+#: probabilities, or are read off those
+OF_ALL = {
+    *(Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.RELIABILITY_INDEX),
+    *(Kind.QUANTILE, Kind.CURVE, Kind.MARGIN),
+}
 
 
 class Accuracy(NamedTuple):
@@ -59,11 +67,13 @@ class Compared:
     sample : (1 + J, n) the model's answers, and J equally likely predictions
     values : the free number (n,) of each row, rising; None where it is a strength
     folds : what every expansion predicts along it at the same points, (folds, m) each
+    failed : runs without an answer beside these rows
     """
 
     sample: Sample
     values: Array | None = None
     folds: Sequence[Sample] = ()
+    failed: int = 0
 
 
 @bundle
@@ -111,6 +121,33 @@ class Tables:
     def runs(self) -> int:
         """Model runs that the sample rests on."""
         return self.rows.size
+
+    @property
+    def failed(self) -> float:
+        """The share of the model runs that failed."""
+        failed = [rows.failed for rows in (self.sample, *self.line.values())]
+        return float(np.hstack(failed).mean())
+
+    def noted(self, answer: Kind) -> str:
+        """What an answer is of where model runs failed, and its interval does not allow for them;
+        empty elsewhere.
+        """
+        if not self.failed or (answer in OF_ALL and self.design.analysis.policy == "bound"):
+            return ""
+        return OF_ANSWERED
+
+    def of_answered(self, row: Answer) -> Answer:
+        """A row of answers with a note on what it is of where model runs failed.
+
+        What these would have been bounds no moment, and no part of a variance.
+        """
+        note = self.noted(row.answer)
+        if not note or (row.value is None and row.high is None):
+            return row
+        cells: dict[str, Any] = {"note": "; ".join(filter(None, (row.note, note)))}
+        if row.answer not in OF_ALL:
+            cells |= {"low_unseen": None, "high_unseen": None}
+        return row.model_copy(update=cells)
 
     @property
     def inaccurate(self) -> list[Accuracy]:
@@ -189,7 +226,8 @@ class Tables:
             return sampled
         bound = max(sampled.high or 0.0, count_bound(self.sample.size))
         reason = "fewer than 20 effective samples contribute to it; only a bound is given"
-        return absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
+        bounds = absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
+        return replace(bounds, high_unseen=sampled.high_unseen)
 
     def index_method(self, name: str) -> IndexMethod:
         """Where the indices of a quantity come from."""
@@ -258,18 +296,35 @@ class Slow(Tables):
     responses : the expansions by quantity; none where a row has no plain values
     predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
         a column are too rough
-    dropped : share of the rows that failed and were left out
+    dropped : rows that failed and were left out
     """
 
     evaluated: Sample
     responses: Mapping[str, Response]
     predicted: Sample | None
-    dropped: float
+    dropped: int
 
     @property
     def rows(self) -> Sample:
         """The model's own rows."""
         return self.evaluated
+
+    @property
+    def failed(self) -> float:
+        """The share of the model runs that failed."""
+        failed = self.dropped + int(self.rows.failed.sum())
+        total = self.dropped + self.rows.size
+        if self.compared is not None and self.line:
+            failed += self.compared.failed
+            total += self.compared.failed + self.compared.sample.count
+        return failed / total
+
+    def noted(self, answer: Kind) -> str:
+        """What an answer is of where model runs failed."""
+        note = super().noted(answer)
+        if note and self.predicted is not None:
+            note += ", extrapolated for the others"
+        return note
 
     def corrected(self, name: str) -> Corrected | None:
         """The predictions of a quantity, corrected by its rows; None where it has none."""
@@ -278,7 +333,7 @@ class Slow(Tables):
         return Corrected(
             response=self.responses[name],
             table=self.predicted.answer(name),
-            dropped=self.dropped,
+            failed=self.dropped,
         )
 
     def describe(self, name: str) -> Description:
@@ -293,7 +348,8 @@ class Slow(Tables):
     def _kept(self) -> str:
         if not self.dropped:
             return ""
-        return f", the {100.0 * (1.0 - self.dropped):.3g} % of rows that answered"
+        kept = self.rows.size / (self.rows.size + self.dropped)
+        return f", the {100.0 * kept:.3g} % of rows that answered"
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
@@ -310,7 +366,12 @@ class Slow(Tables):
             sampled = replace(sampled, method=sampled.method + self._kept)
             if sampled.high is None:
                 return sampled
-            return replace(sampled, high=max(sampled.high, count_bound(self.rows.size)))
+            _, most = sampled.outer
+            return replace(
+                sampled,
+                high=max(sampled.high, count_bound(self.rows.size)),
+                high_unseen=max(most or 0.0, count_bound(self.rows.size, self.dropped)),
+            )
         place = predicted.quantities.index(column)
 
         def moved(sample: Sample, values: Array) -> Array:

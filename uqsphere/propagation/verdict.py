@@ -21,6 +21,7 @@ from uqsphere.results.types import (
     CurvePoint,
     Decision,
     DoubtCode,
+    Kind,
     LibraryRange,
     MarginNote,
     NeededStrength,
@@ -194,7 +195,8 @@ def _at_plan(tables: Tables, curves: Curves) -> dict[str, Estimate]:
         alone, joint = curves.base(limit)
         if curves.adds_up(limit):
             estimate = _added(estimate, (joint - alone)[0])
-        estimates[limit.name] = estimate
+        note = tables.noted(Kind.FAILURE_PROBABILITY)
+        estimates[limit.name] = replace(estimate, reason=estimate.reason or note)
     return estimates
 
 
@@ -414,7 +416,11 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
     if code == "assumed strength":
         at_plan = judged.probability[limit.name].value
     if code == "computation":
-        at_plan = judged.all_modes[limit.name].high or at_plan
+        computed = judged.all_modes[limit.name]
+        high = computed.high
+        if computed.reason:
+            _, high = computed.outer
+        at_plan = high or at_plan
         # tests that are carried over in another way than by the limit that counts as fracture
         if any(limit in group[1:] for group in aim.groups):
             code = "carrier"

@@ -61,6 +61,7 @@ def run_html(results: Results) -> str:
         tables=(tables.limits(results), tables.quantities(results), tables.indices(results)),
         pictures={name: drawn[name] for name in ("fragility", *FRONT) if name in drawn},
         decisions=sentences.decision_texts(results),
+        failed=sentences.failed_texts(results),
     )
 
 

@@ -161,6 +161,8 @@ class DecisionText:
                 if own.code != "computation" and at_plan != alone:
                     alone += f" to {at_plan}"
             text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
+        if computed and decision.probability.note:
+            text += f", {decision.probability.note}"
         if decision.target is None:
             return f"{text}."
         return f"{text}. {self._target}."
@@ -475,9 +477,10 @@ def probability_at_target(aim: Aim, p: Estimated, target: float | None) -> str:
 
 
 def limit_notes(results: Results) -> Iterator[str]:
-    """What is to be known of the strengths in the table of limits: stated without tests, assumed,
-    and damage.
+    """What is to be known of the table of limits: model runs that failed, strengths that are stated
+    without tests or assumed, and damage.
     """
+    yield from failed_texts(results)
     entries = results.study.limits.items()
     stated = [name for name, entry in entries if entry.fracture and not entry.tests]
     if stated:
@@ -491,6 +494,11 @@ def limit_notes(results: Results) -> Iterator[str]:
     damage = _damage_modes(results.decisions)
     if damage:
         yield f"damage, not counted as fracture: {listed(damage)}"
+
+
+def failed_texts(results: Results) -> list[str]:
+    """What numbers are of where model runs failed; empty elsewhere."""
+    return [check_text(check) for check in results.checks if check.name == "failed_rows"]
 
 
 def all_modes(decision: Decision) -> str:

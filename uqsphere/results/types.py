@@ -172,9 +172,9 @@ class Answer(Part):
     high: Finite = None
     """upper end of the 95 % interval"""
     low_unseen: Finite = None
-    """lower end that also allows for what no model run shows"""
+    """lower end that also allows for what no model run shows, and for model runs that failed"""
     high_unseen: Finite = None
-    """upper end that also allows for what no model run shows"""
+    """upper end that also allows for what no model run shows, and for model runs that failed"""
     std_error: Finite = None
     """standard error, where the interval rests on one"""
     unit: str
@@ -194,7 +194,7 @@ class Range(Part):
     low: Finite = None
     high: Finite = None
     note: str = ""
-    """why there is no value"""
+    """why there is no value, or what it is of where model runs failed"""
 
 
 # --- the study ------------------------------------------------------------------------------------

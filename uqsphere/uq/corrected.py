@@ -40,10 +40,12 @@ from .estimate import (
     count_bound,
     distances,
     fold_spread,
+    nearest_of,
     share,
     spread,
     spreads,
     student,
+    takes_few_values,
 )
 from .response import FOLDS, METHOD, MOST, ROUNDING, Response, unseen
 
@@ -59,12 +61,12 @@ class Corrected:
 
     response : the cross-fitted expansions
     table : (R, m) predictions at points of the law, as of `Response.table`
-    dropped : share of the rows that failed and were left out, in place of which are predictions
+    failed : rows that were left out, in place of which are predictions
     """
 
     response: Response
     table: Array
-    dropped: float = 0.0
+    failed: int = 0
 
     @property
     def runs(self) -> int:
@@ -74,8 +76,9 @@ class Corrected:
     @cached_property
     def method(self) -> str:
         text = f"{METHOD}; {unseen(self.runs)}"
-        if self.dropped:
-            text += f"; extrapolated for the {100.0 * self.dropped:.3g} % of the runs that failed"
+        if self.failed:
+            dropped = self.failed / (self.runs + self.failed)
+            text += f"; extrapolated for the {100.0 * dropped:.3g} % of the runs that failed"
         return text
 
     # --- moments ----------------------------------------------------------------------------------
@@ -156,7 +159,7 @@ class Corrected:
             float,
             corrected_probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell),
         )
-        missed = count_bound(self.runs)
+        missed = count_bound(self.runs, self.failed)
         outer = max(low - missed, 0.0), min(high + missed, 1.0)
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
@@ -167,7 +170,7 @@ class Corrected:
     @cached_property
     def _few_values(self) -> bool:
         """Whether the output takes few different values, such as numbers of something."""
-        return 2 * len(np.unique(self.response.outputs)) <= self.runs
+        return takes_few_values(np.sort(self.response.outputs))
 
     @cached_property
     def _predicted(self) -> Pair:
@@ -179,9 +182,8 @@ class Corrected:
             for k in range(FOLDS):
                 left_out = self.response.fold == k
                 values = np.unique(self.response.outputs[~left_out])
-                middles = 0.5 * (values[1:] + values[:-1])
-                levels[left_out] = values[np.searchsorted(middles, levels[left_out])]
-                table[k::FOLDS] = values[np.searchsorted(middles, table[k::FOLDS])]
+                levels[left_out] = nearest_of(values, values, levels[left_out])
+                table[k::FOLDS] = nearest_of(values, values, table[k::FOLDS])
         return table, levels
 
     @cached_property
@@ -224,7 +226,7 @@ class Corrected:
             return float(np.interp(p, levels, places))
 
         at = below(value)
-        missed = count_bound(self.runs)
+        missed = count_bound(self.runs, self.failed)
         upper = max(above(low), at)
         if math.isinf(upper) or (p <= high[0] and not self._few_values):
             reason = f"{self.runs} runs are too few to estimate the {p:g} quantile"

@@ -26,6 +26,22 @@ class Fragility:
     curve: list[list[float]]
     values: Mapping[float, Estimate]
 
+    def allowing(self, others: Sequence["Fragility"]) -> "Fragility":
+        """The same with outer ends that hold other curves and their intervals."""
+        curves = np.array([other.curve for other in others])
+        curve = np.array(self.curve)
+        curve[:, 4] = curves[:, :, 2].min(axis=0)
+        curve[:, 5] = curves[:, :, 3].max(axis=0)
+        values = dict(self.values)
+        for target, estimate in self.values.items():
+            if estimate.value is None:
+                continue
+            further = [other.values[target] for other in others]
+            low = min(-inf if other.low is None else other.low for other in further)
+            high = max(inf if other.high is None else other.high for other in further)
+            values[target] = replace(estimate, low_unseen=low, high_unseen=high)
+        return Fragility(curve=curve.tolist(), values=values)
+
 
 def fragility(
     grid: Array,

@@ -25,11 +25,14 @@ from .estimate import (
     absent,
     carriers,
     from_replicates,
+    lost_share,
+    nearest_of,
     quantile,
     sample_reader,
     share,
     spread,
     student,
+    takes_few_values,
 )
 
 #: samples that must lie beyond a quantile for it to be estimated at all: their count is known to
@@ -110,8 +113,8 @@ def describe(
     Censored samples are known only to exceed their own value: quantiles that they could move beyond
     the record are absent, mean and standard deviation are restricted to the record.  Samples that
     are not finite, those of failed rows, leave mean and standard deviation; a quantile either
-    leaves them out (`on_failure` "drop") or has its interval widened to either side of them
-    ("bound").
+    leaves them out (`on_failure` "drop"), its outer ends allowing for them, or has its interval
+    widened to either side of them ("bound").
     """
     broken = ~np.isfinite(samples)
     kept = ~broken
@@ -207,6 +210,7 @@ def quantile_estimates(
     read = sample_reader(np.sort(least[kept]))
     upper = sample_reader(np.sort(np.where(failed | censored, inf, samples)[kept]))
     counts = kept.sum(axis=1)
+    lost = lost_share(~kept)
     answers = {}
     for p in quantiles:
         if min(p, 1.0 - p) * counts.sum() < LEAST_BEYOND:
@@ -223,6 +227,13 @@ def quantile_estimates(
                 f"({100.0 * (failed & kept).mean():.2f} %)"
             )
             answers[p] = absent(reason, method, total)
+        elif lost:
+            half = student(len(samples)) * error + lost
+            answers[p] = replace(
+                answers[p],
+                low_unseen=read(p - half) if p > half else -inf,
+                high_unseen=upper(p + half) if p + half < 1.0 else inf,
+            )
     return answers
 
 
@@ -299,7 +310,11 @@ def describe_controlled(
     sd = from_replicates(
         half * variances, method, total, scale, carrying=points, further=half * error
     )
-    read = _corrected_reader(expensive, cheap, cheap_many)
+    levels = np.unique(expensive)
+    if takes_few_values(np.sort(expensive, axis=None)):
+        cheap, cheap_many = (nearest_of(levels, levels, rows) for rows in (cheap, cheap_many))
+        models = expensive, cheap, cheap_many
+    read = _corrected_reader(*models)
     answers = {}
     for p in quantiles:
         if min(p, 1.0 - p) * total < LEAST_BEYOND:
@@ -328,13 +343,13 @@ def _corrected_reader(expensive: Array, cheap: Array, more: Array) -> Callable[[
     they differ, at kinks of the model too.
     """
     parts = (more, 1.0), (expensive, 1.0), (cheap, -1.0)
-    places = np.concatenate([part.ravel() for part, _ in parts])
+    rows = np.concatenate([part.ravel() for part, _ in parts])
     steps = np.concatenate([np.full(part.size, sign / part.size) for part, sign in parts])
-    order = np.argsort(places, kind="stable")
-    below = np.cumsum(steps[order])
+    places, at = np.unique(rows, return_inverse=True)
+    below = np.cumsum(np.bincount(at, steps), dtype=float)
     # a distribution function never falls
     below = np.mean(rising(below), axis=0)
-    return lambda p: places[order[np.searchsorted(below[:-1], p)]]
+    return lambda p: places[np.searchsorted(below[:-1], p - 1e-12)]
 
 
 def rising(levels: Array) -> Pair:

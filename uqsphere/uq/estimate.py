@@ -41,9 +41,9 @@ class Estimate:
     Attributes
     ----------
     value, low, high : the number and both ends of its interval; an end without a bound is None
-    low_unseen, high_unseen : ends that also allow for an event of which the runs show nothing,
-        `count_bound` more in probability; infinite where nothing bounds them, None where these are
-        `low` and `high`
+    low_unseen, high_unseen : ends that also allow for what the runs do not show, an event that none
+        has met and what those without an answer would have been: `count_bound` more in probability;
+        infinite where nothing bounds them, None where these are `low` and `high`
     std_error : standard error
     evaluations : model runs that it rests on
     """
@@ -294,14 +294,24 @@ def ratio_of_means(numerators: Array, denominators: Array) -> Pair:
 # --- probabilities --------------------------------------------------------------------------------
 
 
-def count_bound(total: float) -> float:
-    """The share that a count of none in so many leaves possible, about 3 over the count: the
-    one-sided 95 % bound.
+def count_bound(others: float, met: float = 0.0) -> float:
+    """The share that a count of `met` beside so many others leaves possible, of none about 3 over
+    their number: the one-sided 95 % bound (C. J. Clopper, E. S. Pearson, Biometrika 26, 1934, 404).
 
-    >>> round(count_bound(200), 4)
-    0.0149
+    >>> round(count_bound(200), 4), round(count_bound(190, 10), 4)
+    (0.0149, 0.0835)
     """
-    return -math.expm1(math.log(LEFT_OUT) / total)
+    if not met:
+        return -math.expm1(math.log(LEFT_OUT) / others)
+    return float(special.betaincinv(met + 1.0, max(others, 1e-9), LEVEL))
+
+
+def lost_share(failed: Flags) -> float:
+    """What the rows that failed may move a probability by, whatever they would have been (C. F.
+    Manski, Am. Econ. Rev. 80(2), 1990, 319): their share, at its upper bound; 0 without any.
+    """
+    met = int(failed.sum())
+    return met and count_bound(failed.size - met, met)
 
 
 def probability_ends(
@@ -367,9 +377,23 @@ def quantile(
     return between(value, low, high, replicates, method, evaluations)
 
 
+def takes_few_values(ordered: Array) -> bool:
+    """Whether sorted values (n,) repeat so often that they are levels, such as numbers of
+    something.
+    """
+    return bool(2 * (1 + np.count_nonzero(ordered[1:] != ordered[:-1])) <= ordered.size)
+
+
+def nearest_of(values: Array, places: Array, at: Array) -> Array:
+    """The values (n,) whose places (n,), in rising order, are nearest to others (...)."""
+    near = values[np.searchsorted(0.5 * (places[1:] + places[:-1]), at)]
+    return np.asarray(near + 0.0)  # no -0.0
+
+
 def sample_reader(values: Array, weights: Values = 1.0) -> Callable[[float], float]:
     """Reads the distribution of samples of any shape at a probability, by Hazen's rule: a sample
-    stands for the middle of its weight, the i-th of N equal ones at (i - 1/2)/N.
+    stands for the middle of its weight, the i-th of N equal ones at (i - 1/2)/N.  Between samples
+    that take few different values there is nothing to read: the nearer one is.
 
     >>> sample_reader(np.array([4.0, 1.0, 2.0]))(0.5)
     2.0
@@ -378,4 +402,6 @@ def sample_reader(values: Array, weights: Values = 1.0) -> Callable[[float], flo
     ordered = values.ravel()[order]
     mass = np.broadcast_to(weights, values.shape).ravel()[order]
     middles = (np.cumsum(mass) - 0.5 * mass) / mass.sum()
+    if takes_few_values(ordered):
+        return lambda p: nearest_of(ordered, middles, np.array(p)).item()
     return lambda p: float(np.interp(p, middles, ordered))

@@ -24,6 +24,7 @@ from .estimate import (
     absent,
     between,
     bounded,
+    lost_share,
     probability_ends,
     quantile,
     sample_reader,
@@ -41,8 +42,8 @@ class LimitState:
 
     `strength` is a number or a law.  `tie`, with scores (R, n, k), says how it depends on the
     inputs (`Joint.tie`).  `censored` demands are known only to exceed their value; those that are
-    nan are left out (`on_failure` "drop") or counted once as exceeding and
-    once as not ("bound"), never as survival.
+    nan are left out (`on_failure` "drop"), outer ends allowing for them, or counted once as
+    exceeding and once as not ("bound"), never as survival.
     """
 
     demands: Array
@@ -116,7 +117,15 @@ class LimitState:
         largest = event.max() / (event.sum() or 1.0)
         if largest > 0.2:
             method += f", one sample carries {100.0 * largest:.0f} %"
-        return bounded(value, low, high, error, method, broken.size)
+        estimate = bounded(value, low, high, error, method, broken.size)
+        left_out = lost_share(broken & ~lost)
+        if not left_out:
+            return estimate
+        return replace(
+            estimate,
+            low_unseen=max(low - left_out, 0.0),
+            high_unseen=min(high + left_out, 1.0),
+        )
 
     def safety_factor(self, p: float = 0.5) -> Estimate:
         """Quantile at p of strength over demand: m with mean F_S(m · demand) = p; its interval is

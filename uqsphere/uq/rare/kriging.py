@@ -20,7 +20,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, special
 
-from ..estimate import LEVEL, REPLICATES, Estimate, absent, bounded, carriers, count_bound, student
+from ..estimate import REPLICATES, Estimate, absent, bounded, carriers, count_bound, student
 from ..points import random_generator
 from .mixture import standard_normal, wide_mixture
 from .problem import MOST_DIMENSIONS, Evaluator
@@ -100,7 +100,7 @@ def by_kriging(
     estimate = _corrected(evaluator, surrogate, answer, accuracy)
     size = plain.answers.size
     failures = evaluator.mass(plain.points, plain.answers).sum()
-    high = float(special.betaincinv(failures + 1.0, max(size - failures, 1e-9), LEVEL))
+    high = count_bound(size - failures, failures)
     if estimate is None:
         reason = f"{evaluator.count} calls do not tell it from zero; it is below {high:.2g}"
         return absent(reason, METHOD, evaluator.count, below=high)
