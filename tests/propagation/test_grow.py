@@ -166,15 +166,16 @@ def test_a_sample_bounds_a_search_whose_methods_disagree() -> None:
 
 def test_an_unsure_search_takes_the_place_of_no_sample_that_knows_more() -> None:
     unsure = estimate(1e-5, 2e-6, 0.2, 30_000)
-    met = _searched(unsure, estimate(6e-4, 2e-4, 1.5e-3, 8192))
+    missed = count_bound(8192)
+    met = _searched(unsure, estimate(6e-4, 2e-4, 1.5e-3, 8192), missed)
     assert met.value == 6e-4
     # room for what the sample may have missed too
     assert met.low == 0.0
     assert met.high == pytest.approx(1.5e-3 + 3.0 / 8192, rel=0.01)
     none = estimate(0.0, 0.0, 3.7e-4, 8192)
-    assert _searched(unsure, none).value == 1e-5
-    assert _searched(unsure, none).outer == (2e-6, 3.7e-4)
-    beyond = _searched(estimate(2e-3, 2e-6, 0.2, 30_000), none)
+    assert _searched(unsure, none, missed).value == 1e-5
+    assert _searched(unsure, none, missed).outer == (2e-6, 3.7e-4)
+    beyond = _searched(estimate(2e-3, 2e-6, 0.2, 30_000), none, missed)
     assert beyond.value is None
     assert beyond.outer == (0.0, 3.7e-4)
 
