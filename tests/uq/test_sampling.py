@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import qmc
 
 from uqsphere.uq import points
-from uqsphere.uq.points import _seed, sobol_points
+from uqsphere.uq.points import random_generator, sobol_points
 from uqsphere.uq.sample import Sample
 
 
@@ -52,9 +52,9 @@ def test_replicates_are_unbiased_and_independent() -> None:
 def test_points_are_those_of_scipy(dimension: int, count: int) -> None:
     bits = 52 if dimension < 1000 else 30
     key = {"seed": 5, "task": "scipy", "replicate": 3}
-    rival = qmc.Sobol(
-        dimension, scramble=True, bits=bits, rng=np.random.default_rng(_seed(**key))
-    ).random(count)
+    rival = qmc.Sobol(dimension, scramble=True, bits=bits, rng=random_generator(**key)).random(
+        count
+    )
     found = sobol_points(dimension=dimension, count=count, **key)
     assert np.array_equal(found, rival + 0.5 ** (bits + 1))
 

@@ -19,7 +19,7 @@ interval (`_beyond`).
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
@@ -100,7 +100,7 @@ class Expansion:
 
 
 def expansions(
-    design: Design, sample: Sample, columns: Sequence[str], before: Mapping[str, Expansion]
+    design: Design, sample: Sample, before: Mapping[str, Expansion]
 ) -> dict[str, Expansion]:
     """Expansions of the columns whose rows all have a plain value, in the independent germs of the
     inputs.
@@ -111,7 +111,7 @@ def expansions(
     few = min(count, MOST_TERMS)
     points = points_of(design, sample.scores)
     fits = dict[str, Expansion]()
-    for name in columns:
+    for name in design.described:
         outputs = sample.answer(name)
         if not sample.knows(name) or not varies(outputs):
             continue

@@ -26,7 +26,7 @@ from uqsphere.results.types import EvidenceEntry
 from uqsphere.study import Limit, Study, limit_of
 from uqsphere.study.document import Analysis
 from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
-from uqsphere.uq.chaos.basis import GermLike, germs_of
+from uqsphere.uq.chaos.basis import Germs, germs_of
 from uqsphere.uq.estimate import REPLICATES
 from uqsphere.uq.fitting import is_fitted
 from uqsphere.uq.indices import Blocks
@@ -111,7 +111,7 @@ class Design:
         return self.joint.only(self.inputs)
 
     @cached_property
-    def germs(self) -> tuple[GermLike, ...]:
+    def germs(self) -> Germs:
         """The germs of the inputs in which expansions are written."""
         return germs_of(self.joint_inputs.laws)
 

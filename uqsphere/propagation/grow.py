@@ -203,7 +203,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
     design = tables.design
     inaccurate: list[str] = []
     if design.inputs:
-        fits = expansions(design, tables.sample, design.described, tables.expansions)
+        fits = expansions(design, tables.sample, tables.expansions)
         tables = replace(tables, expansions=fits)
         asked = design.analysis.quantities
         inaccurate = [name for name in asked if not _by_chaos_accurate(tables, name)]

@@ -183,7 +183,6 @@ class Tables:
                 mean=value,
                 sd=exact(0.0),
                 quantiles=dict.fromkeys(quantiles, value),
-                censored_share=exact(0.0),
                 scale=0.0,
             )
         expansion = self._control(name)

@@ -345,13 +345,13 @@ def _distribution_text(law: Law, name: str) -> str:
     for key in ("modulus", "shape", "dof"):
         if key in law.parameters:
             parts.append(f"{key} {law.parameters[key]:.3g}")
-    low, high = (format_value(end, name) for end in (law.lower, law.upper))
-    if math.isfinite(law.lower) and math.isfinite(law.upper):
-        parts.append(f"{low} to {high}")
+    ends = [format_value(end, name) for end in law.ends]
+    if len(ends) == 2:
+        parts.append(" to ".join(ends))
     elif math.isfinite(law.lower):
-        parts.append(f"from {low}")
-    elif math.isfinite(law.upper):
-        parts.append(f"up to {high}")
+        parts.append(f"from {ends[0]}")
+    elif ends:
+        parts.append(f"up to {ends[0]}")
     return ", ".join(parts)
 
 

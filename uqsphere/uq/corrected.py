@@ -41,7 +41,6 @@ from .estimate import (
     distances,
     fold_spread,
     nearest_of,
-    share,
     spread,
     spreads,
     student,
@@ -160,12 +159,13 @@ class Corrected:
             corrected_probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell),
         )
         missed = count_bound(self.runs, self.failed)
-        outer = max(low - missed, 0.0), min(high + missed, 1.0)
+        least = max(low - missed, 0.0)
+        most = min(high + missed, 1.0)
         if not 0.0 < value < 1.0 or (rows.sum() < 1e-3 and high * predicted.size < 3.0):
             reason = f"too small for {self.runs} runs: {unseen(self.runs)}"
-            return replace(absent(reason, self.method, self.runs), low=outer[0], high=outer[1])
+            return replace(absent(reason, self.method, self.runs), low=least, high=most)
         estimate = self._estimate(value, low, high)
-        return replace(estimate, low_unseen=outer[0], high_unseen=outer[1])
+        return replace(estimate, low_unseen=least, high_unseen=most)
 
     @cached_property
     def _few_values(self) -> bool:
@@ -244,7 +244,6 @@ class Corrected:
             mean=self.mean(),
             sd=sd,
             quantiles={p: self.quantile(p) for p in quantiles},
-            censored_share=share(np.zeros(self.table.shape, bool)),
             scale=sd.value or self.response.outputs.std(),
         )
 

@@ -24,6 +24,7 @@ from .estimate import (
     Estimate,
     absent,
     carriers,
+    exact,
     from_replicates,
     lost_share,
     nearest_of,
@@ -56,8 +57,8 @@ class Description:
     mean: Estimate
     sd: Estimate
     quantiles: Mapping[float, Estimate]
-    censored_share: Estimate
     scale: float
+    censored_share: Estimate = exact(0.0)
 
 
 def hill(outputs: Array) -> float:
@@ -332,7 +333,6 @@ def describe_controlled(
         mean=mean,
         sd=sd,
         quantiles=answers,
-        censored_share=share(np.zeros(expensive.shape, bool)),
         scale=scale,
     )
 

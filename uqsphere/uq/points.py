@@ -28,16 +28,13 @@ import numpy as np
 from uqsphere.arrays import Array
 
 
-def _seed(seed: int, task: str, replicate: int) -> np.random.SeedSequence:
+def random_generator(seed: int, task: str, replicate: int = 0) -> np.random.Generator:
+    """Generator keyed by seed, task and replicate, for what needs plain random numbers."""
     if seed < 0 or replicate < 0:
         raise ValueError(f"seed and replicate must not be negative, found {seed} and {replicate}")
     task_number = int.from_bytes(hashlib.sha256(task.encode()).digest(), "little")
-    return np.random.SeedSequence(entropy=[seed, task_number], spawn_key=(replicate,))
-
-
-def random_generator(seed: int, task: str, replicate: int = 0) -> np.random.Generator:
-    """Generator keyed by seed, task and replicate, for what needs plain random numbers."""
-    return np.random.default_rng(_seed(seed, task, replicate))
+    entropy = [seed, task_number]
+    return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(replicate,)))
 
 
 def sobol_points(

@@ -256,11 +256,12 @@ def _bounded(response: Response) -> Response:
     folds = list(response.folds)
     levels = response.levels.copy()
     trusted = []
-    for k, variance in enumerate(variances.tolist()):
+    for k, fold in enumerate(response.folds):
+        variance = float(variances[k])
         others = np.delete(variances, k)
         left_out = response.fold == k
         median = float(np.median(others))
-        missing = folds[k].fit.cross_validation_error * whole
+        missing = fold.fit.cross_validation_error * whole
         room = max(distances(influence[~left_out], REJECTED)) + integration * median
         room += t * 1.4826 * float(np.median(np.abs(others - median)))
         room += missing + 2.0 * math.sqrt(missing * max(variance, median))
@@ -269,10 +270,11 @@ def _bounded(response: Response) -> Response:
             trusted.append(k)
             continue
         points = response.points[~left_out]
-        folds[k] = Fold(fit=folds[k].fit, reach=(points.min(axis=0), points.max(axis=0)))
-        if not folds[k].values(law).var() <= whole + up:
-            folds[k] = Fold(fit=constant_fit(y[~left_out], response.germs))
-        levels[left_out] = folds[k].values(response.points[left_out])
+        fold = replace(fold, reach=(points.min(axis=0), points.max(axis=0)))
+        if not fold.values(law).var() <= whole + up:
+            fold = Fold(fit=constant_fit(y[~left_out], response.germs))
+        folds[k] = fold
+        levels[left_out] = fold.values(response.points[left_out])
     if len(trusted) <= FOLDS // 2:
         trusted = []
     return replace(response, folds=tuple(folds), levels=levels, trusted=tuple(trusted))

@@ -132,7 +132,7 @@ def steps_of(law: Law) -> Pair:
     return special.ndtri(np.cumsum(weights) - 0.5 * weights), weights
 
 
-def highest_degrees(germs: Sequence[GermLike], points: Array) -> Places:
+def highest_degrees(germs: Germs, points: Array) -> Places:
     """Highest degree (d,) in each input at germ points (n, d): below the number of its different
     values.
 

@@ -26,7 +26,7 @@ from uqsphere.uq.estimate import mean_and_sd
 
 from .basis import (
     HIGHEST_DEGREE,
-    GermLike,
+    Germs,
     grown,
     highest_degrees,
     hyperbolic_indices,
@@ -53,9 +53,7 @@ HOPELESS = 10.0
 MOST_SECOND = 5151
 
 
-def fit_chaos(
-    points: Array, outputs: Array, germs: Sequence[GermLike], *, plain: bool = False
-) -> Chaos:
+def fit_chaos(points: Array, outputs: Array, germs: Germs, *, plain: bool = False) -> Chaos:
     """The sparse expansion of outputs (n,) at germ points (n, d).
 
     Never more terms than half the points, or than two thirds where a whole set of degrees is
@@ -75,7 +73,6 @@ def fit_chaos(
     >>> float(chaos.predict(np.array([[0.5, 0.5]]))[0].round(12))
     1.125
     """
-    germs = tuple(germs)
     n = len(outputs)
     d = len(germs)
     if points.shape != (n, d) or outputs.ndim != 1 or n < 4:
@@ -111,7 +108,7 @@ def fit_chaos(
     )
 
 
-def constant_fit(outputs: Array, germs: tuple[GermLike, ...]) -> Chaos:
+def constant_fit(outputs: Array, germs: Germs) -> Chaos:
     """The mean of outputs (n,) as an expansion."""
     mean, deviation = mean_and_sd(outputs)
     return Chaos(
@@ -126,7 +123,7 @@ def constant_fit(outputs: Array, germs: tuple[GermLike, ...]) -> Chaos:
 class Space:
     """The products of polynomials at germ points (n, d): `most` of them at most in a set."""
 
-    def __init__(self, points: Array, germs: Sequence[GermLike]) -> None:
+    def __init__(self, points: Array, germs: Germs) -> None:
         self.tables = [*map(orthonormal_values, germs, points.T, repeat(HIGHEST_DEGREE))]
         self.highest = highest_degrees(germs, points)
         self.most = min(max(400, 3 * len(points)), MOST_CANDIDATES)
@@ -256,7 +253,7 @@ class Target:
         if not self.log:
             return (values - self.values) ** 2
         w = self.centre + self.spread * values
-        w = np.minimum(np.maximum(w, self.bounds[0]), self.bounds[1])
+        w = w.clip(*self.bounds)
         return ((self.sign * np.exp(w) - self.outputs) / self.deviation) ** 2
 
     def error(self, values: Array) -> float:
