@@ -117,7 +117,7 @@ def expansions(
             continue
         rows = min(count, MOST_ROWS)
         earlier = before.get(name)
-        if earlier is not None and (earlier.fit.samples == rows or earlier.left < GOOD):
+        if earlier and (earlier.fit.samples == rows or earlier.left < GOOD):
             fit = earlier.fit
             values = fit.predict(points[1:])
             left = _left(outputs, values)
@@ -286,14 +286,12 @@ def by_chaos(design: Design, expansion: Expansion) -> Indices:
     """Indices of an expansion, corrected by the rows that it was not fitted to."""
     form = expansion.fit.plain_form
     integrals = expansion.fit.integrals
-    active = form.multi_indices > 0
-    many = active.sum(axis=1)
+    alone, active = form.parts
     everything = (expansion.residuals**2).mean(axis=1)
     indices = dict[str, tuple[Estimate, ...]]()
     for k, name in enumerate(design.inputs):
         least, most = expansion.explained[:, :, k]
-        alone = active[:, k] & (many == 1)
-        first = _index(expansion, alone, integrals.shares[0, k], least, most)
+        first = _index(expansion, alone[:, k], integrals.shares[0, k], least, most)
         least = np.clip(least, 0.0, everything)
         total = _index(expansion, active[:, k], integrals.shares[1, k], least, everything)
         if first.value is not None and total.value is not None and total.value < first.value:
@@ -303,7 +301,7 @@ def by_chaos(design: Design, expansion: Expansion) -> Indices:
     if not design.analysis.second_order:
         return indices
     for (i, one), (j, other) in combinations(enumerate(design.inputs), 2):
-        which = active[:, i] & active[:, j] & (many == 2)
+        which = active[:, i] & active[:, j] & (active.sum(axis=1) == 2)
         share = 0.0
         if integrals.sd > 0.0:
             share = (form.coefficients[which] ** 2).sum() / integrals.sd**2

@@ -155,9 +155,9 @@ class Design:
     def planned(self) -> float | None:
         """The planned value of the free number: the mean that the study gives it."""
         margins = self.study.margins
-        if margins is None:
+        if not margins:
             return None
-        if margins.limit is not None:
+        if margins.limit:
             limit = next(limit for limit in self.limits if limit.name == margins.limit)
             return number(limit.strength)
         return self.study.at_means().get(margins.solve)
@@ -167,7 +167,7 @@ class Design:
         """What gives the free number its unit: itself, or the demand on the strength it is."""
         margins = self.study.margins
         assert margins is not None
-        if margins.limit is None:
+        if not margins.limit:
             return margins.solve
         return next(limit.quantity for limit in self.limits if limit.name == margins.limit)
 
@@ -270,7 +270,7 @@ def with_test_forces(design: Design, sample: Sample, limits: Sequence[Limit] = (
     values: dict[str, Array | float] = {**design.study.at_means(), **varying}
     for limit in limits or design.judged.limits:
         tested = limit.tested
-        if tested is None or not limit.by_force:
+        if not tested or not limit.by_force:
             continue
         # numbers of what yields in the tests count where they scatter from row to row
         parts = ("sphere", "contact") if tested.sphere.get("takes") else ("contact",)
@@ -283,7 +283,7 @@ def with_test_forces(design: Design, sample: Sample, limits: Sequence[Limit] = (
         }
         radius = sphere.pop("radius")
         worth = demand[finite]
-        if tested.law is not None:
+        if tested.law:
             sphere = {**tested.sphere, **sphere}
             worth = force_at(worth, limit.demand, sphere, radius, tested.platens)
         # one law of size serves rows, curves and the free number; of draws the value itself is the

@@ -86,7 +86,7 @@ def failure_modes_of(study: Study) -> tuple[list[AssumedMode], dict[str, str]]:
     not_judged = {}
     for mode in FAILURE_MODES.values():
         # the fracture energies of the library are those of rock particles
-        rock = material is not None and material.rock
+        rock = material and material.rock
         if mode.place in limited or (mode.size_law == "particle" and not rock):
             continue
         reason = _not_judged(study, mode, material)
@@ -201,7 +201,7 @@ def judged_by_tests(
     series = {
         limit.tested.forces: limit.tested
         for limit in study.limits
-        if limit.tested is not None and limit.tested.forces
+        if limit.tested and limit.tested.forces
     }
     if not series:
         return [], modes

@@ -94,7 +94,7 @@ def grow(
         runs = model.runs
         worst = tables.worst
         tables = replace(tables, reached=(*tables.reached, (runs, worst)))
-        if progress is not None:
+        if progress:
             text = f"{count:,} points in {REPLICATES} randomisations, error / tolerance {worst:.2g}"
             # with runs n the error falls about as n^(-3/4)
             progress(runs, max(1.0, worst) ** (-4.0 / 3.0), text)
@@ -154,7 +154,7 @@ def first_count(study: Study) -> int:
 
 def first_rows(study: Study, count: int = FIRST) -> int:
     """Model runs of the first size of the loop, with `count` points in each replicate."""
-    if study.moving is not None:
+    if study.moving:
         count += VALUES * max(count // LINE_SHARE, 2)
     return REPLICATES * count
 
@@ -175,7 +175,7 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
     points there: the four about it, and those half-way between them.
     """
     margins = design.study.moving
-    if margins is None:
+    if not margins:
         return {}
     if before is None:
         return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))
@@ -225,7 +225,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
 def _by_chaos_accurate(tables: Tables, name: str) -> bool:
     """Whether the chaos indices of a quantity are as accurate as required."""
     expansion = tables.expansions.get(name)
-    if expansion is None:
+    if not expansion:
         # where nothing varies there is nothing to sample
         return tables.sample.knows(name) and not varies(tables.sample.answer(name))
     estimates = chain(*by_chaos(tables.design, expansion).values())

@@ -160,7 +160,7 @@ class _Promise:
         they refute it.
         """
         tested = self.limit.tested
-        if tested is None or not tested.forces:
+        if not tested or not tested.forces:
             return np.zeros(len(logs))
         grid = np.linspace(logs.min(), logs.max(), _FORCES)
         alike = replace(tested, forces=tuple(np.exp(grid)), diameters=(tested.diameter,) * _FORCES)

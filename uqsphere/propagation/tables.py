@@ -186,7 +186,7 @@ class Tables:
                 scale=0.0,
             )
         expansion = self._control(name)
-        if expansion is not None:
+        if expansion:
             return describe_controlled(
                 sample.answer(name)[1:],
                 expansion.values,
@@ -200,7 +200,7 @@ class Tables:
     def _control(self, name: str) -> Expansion | None:
         """The expansion of a quantity that is accurate enough to be its control variate."""
         expansion = self.expansions.get(name)
-        if expansion is None or self.sample.count >= MOST_MANY:
+        if not expansion or self.sample.count >= MOST_MANY:
             return None
         # of a heavy tail an expansion that leaves next to nothing says more than rows
         most = GOOD if expansion.left < GOOD * CONTROL else CONTROL
@@ -211,7 +211,7 @@ class Tables:
         the sample's points continued, `MANY` for each.
         """
         expansion = self._control(name)
-        if expansion is None:
+        if not expansion:
             return self.sample.answer(name)
         count = min(MANY * self.sample.count, MOST_MANY)
         return values_at(self.design, expansion, self.design.normals(count))
@@ -327,7 +327,7 @@ class Slow(Tables):
 
     def corrected(self, name: str) -> Corrected | None:
         """The predictions of a quantity, corrected by its rows; None where it has none."""
-        if self.predicted is None:
+        if not self.predicted:
             return None
         return Corrected(
             response=self.responses[name],
@@ -338,7 +338,7 @@ class Slow(Tables):
     def describe(self, name: str) -> Description:
         """Mean, standard deviation and quantiles of a quantity."""
         corrected = self.corrected(name)
-        if corrected is not None:
+        if corrected:
             return corrected.describe(self.design.analysis.quantiles)
         method = f"{self.rows.size} {ROUGH}{self._kept}; {unseen(self.rows.size)}"
         return self.described_rows(name, method)
@@ -361,7 +361,7 @@ class Slow(Tables):
         """
         corrected = self.corrected(column)
         predicted = self.predicted
-        if corrected is None or predicted is None:
+        if not (corrected and predicted):
             sampled = replace(sampled, method=sampled.method + self._kept)
             if sampled.high is None:
                 return sampled

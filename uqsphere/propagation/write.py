@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags
+from uqsphere.arrays import Array, Cells
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.model import Model
@@ -151,11 +151,11 @@ def free_number_of(tables: Tables) -> FreeNumber | None:
     """The free number of a study's margins, as the results have it."""
     design = tables.design
     margins = design.study.margins
-    if margins is None:
+    if not margins:
         return None
     low, *_, high = tables.line or margins.between
     meaning = lookup(margins.solve).called
-    if margins.limit is not None:
+    if margins.limit:
         meaning = f"strength of {margins.limit}"
     return FreeNumber(
         path=margins.solve,
@@ -171,29 +171,29 @@ def free_number_of(tables: Tables) -> FreeNumber | None:
 def _quantity(tables: Tables, name: str) -> QuantityEntry:
     values = tables.values(name)
     finite = values[np.isfinite(values)]
-    places = [0.05, 0.5, 0.95]
-    ends = [math.nan] * len(places)
-    if finite.size:
-        ends = np.quantile(finite, places).tolist()
     answers = tables.described(name).quantiles
-    for place, p in enumerate(places):
-        answer = answers[p].value if p in answers else None
-        if answer is not None:
-            ends[place] = answer
-    low, median, high = ends
+
+    def quantile(p: float) -> float:
+        answer = answers.get(p)
+        if answer and answer.value is not None:
+            return answer.value
+        if not finite.size:
+            return math.nan
+        return float(np.quantile(finite, p))
+
     left = pairs = None
     if name in tables.expansions:
         expansion = tables.expansions[name]
         left = expansion.left
         pairs = _some(tables.sample.answer(name)[1:], expansion.values)
-    elif isinstance(tables, Slow) and tables.predicted is not None:
+    elif isinstance(tables, Slow) and tables.predicted:
         response = tables.responses[name]
         left = response.error
         pairs = _some(response.outputs, response.levels)
     return QuantityEntry(
         meaning=lookup(name).meaning,
         unit=display_unit(name)[0],
-        range=(low, median, high),
+        range=(quantile(0.05), quantile(0.5), quantile(0.95)),
         method_of_indices=tables.index_method(name),
         density=density(values),
         onset=onset_of(tables.design.study) if name == "p_max" else None,
@@ -214,13 +214,13 @@ def _limit(limit: Limit, **origin: Any) -> LimitEntry:
     tested = limit.tested
     platens = ""
     size_law = []
-    if tested is not None and tested.forces:
+    if tested and tested.forces:
         modulus = tested.platens[0]
         platens = "rigid platens"
         if math.isfinite(modulus):
             platens = f"platens with E = {1e-9 * modulus:.3g} GPa"
     # how the strength of tested spheres follows their size, and the rate of loading
-    if tested is not None and tested.exponent:
+    if tested and tested.exponent:
         follows = "force"
         if not tested.forces:
             follows = lookup(limit.quantity).called
@@ -297,8 +297,7 @@ def _strength_text(limit: Limit) -> str:
     if not isinstance(law, Law):
         return format_value(law, limit.quantity)
     mean = law.mean()
-    text = law.called.capitalize()
-    text += f", mean {format_value(mean, limit.quantity)}"
+    text = f"{law.called.capitalize()}, mean {format_value(mean, limit.quantity)}"
     if law.family.name == "weibull" and "modulus" in law.parameters:
         text += f", modulus {law.parameters['modulus']:.3g}"
     elif mean:
@@ -366,12 +365,12 @@ def versions() -> dict[str, str]:
     return numbers
 
 
-def samples_of(tables: Tables) -> dict[str, Array | Flags]:
+def samples_of(tables: Tables) -> dict[str, Cells]:
     """Inputs, columns, and a strength of every row, of up to `MOST_ROWS` rows; SI units."""
     design = tables.design
     sample = tables.rows
     head = sample.head(MOST_ROWS // sample.replicates)
-    table: dict[str, Array | Flags] = {name: head.input(name).ravel() for name in head.names}
+    table: dict[str, Cells] = {name: head.input(name).ravel() for name in head.names}
     generator = design.generator("strengths of samples")
     for limit in design.limits:
         state = state_of(design, limit, head)
@@ -384,15 +383,13 @@ def samples_of(tables: Tables) -> dict[str, Array | Flags]:
     return table
 
 
-def cells_of(column: Array | Flags) -> list[Any]:
+def cells_of(column: Cells) -> list[Any]:
     """A column as cells of a table: a number that is not known is left empty."""
     cells = np.where(np.isnan(column), None, column)  # type: ignore[call-overload]
     return cells.tolist()  # type: ignore[no-any-return]
 
 
-def write_run(
-    folder: Path, study: Study, results: Results, samples: dict[str, Array | Flags]
-) -> None:
+def write_run(folder: Path, study: Study, results: Results, samples: dict[str, Cells]) -> None:
     """Keep a run in its folder, with its page."""
     files: dict[str, str | bytes] = {
         "study.toml": study.text,

@@ -251,13 +251,9 @@ class Corrected:
 def nodes_of(residuals: Array) -> Pair:
     """Values of residuals (n,), and the share of the rows that each of them stands for."""
     nodes = np.unique(np.quantile(residuals, np.linspace(0.0, 1.0, NODES)))
-    if len(nodes) == 1:
-        return nodes, np.ones(1)
-    place = np.clip(np.searchsorted(nodes, residuals, side="right") - 1, 0, len(nodes) - 2)
-    part = (residuals - nodes[place]) / np.diff(nodes)[place]
-    weights = np.bincount(place, 1.0 - part, len(nodes))
-    weights += np.bincount(place + 1, part, len(nodes))
-    return nodes, weights / len(residuals)
+    # a row between two nodes stands for both, the more for the one that is nearer
+    shares = [np.interp(residuals, nodes, hat).mean() for hat in np.eye(nodes.size)]
+    return nodes, np.array(shares)
 
 
 def _ends(value: float, influence: Array, sampling: float = 0.0) -> Duo:

@@ -177,7 +177,8 @@ def _value(
         return absent(reason, METHOD, evaluations)
     k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
     counted = np.abs(pooled * behind - np.round(pooled * behind)).max() < 1e-6
-    fewest = behind[k - 1 : k + 1].min()
+    about = slice(k - 1, k + 1)
+    fewest = behind[about].min()
     if counted and fewest * min(target, 1.0 - target) < FEWEST:
         return absent(
             f"{fewest:.0f} samples at a value are too few to show it", METHOD, evaluations
@@ -186,7 +187,7 @@ def _value(
     error = spread(there)
     if counted and error == 0.0:
         error = spread(there, replicates / fewest)
-    carriers_there = max(carrying[k - 1 : k + 1])
+    carriers_there = max(carrying[about])
     worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, inf)
     sides = [_crossing(places, mean, p, least) for mean in every for p in (low, high)]
@@ -195,9 +196,10 @@ def _value(
         sides = [centre, first, last]
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * behind
-    sides += [places[n] for n in (k - 1, k) if counted and shown[n] < FEWEST]
+    step = places[about]
+    if counted:
+        sides += [*step[shown[about] < FEWEST]]
     interpolation = _lost_between(places, pooled, target, least, centre)
-    step = places[k - 1 : k + 1]
     if interpolation > 0.1 * np.ptp(step):
         # where there is a jump it is known to its step only
         sides += [*step]

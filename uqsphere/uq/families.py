@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import field
 from functools import lru_cache
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from uqsphere.arrays import Names, bundle
 
 from . import forms
 from .forms import Form, LawError, Placed
-
-if TYPE_CHECKING:
-    from .law import Law
 
 Keys = dict[str, float]
 
@@ -59,7 +55,7 @@ class Family:
     #: another key set than the first, with sd for cov -> parameters that it gives; raises LawError
     from_moments: Callable[..., Keys] | None = None
     #: law -> standard form, in place of `form`, where laws are made from observations or draws
-    observed: "Callable[[Law], Form] | None" = None
+    observed: Callable[..., Form] | None = None
 
     def __reduce__(self) -> tuple[object, ...]:
         # a family is known by its name
@@ -137,7 +133,7 @@ class Family:
                 raise LawError("cov has no meaning for a mean of 0: give sd instead", "cov")
             keys["sd"] = keys.pop("cov") * abs(mean)
         try:
-            if self.from_moments is not None and not keys.keys() >= set(self.alternatives[0]):
+            if self.from_moments and not keys.keys() >= set(self.alternatives[0]):
                 keys |= self.from_moments(**keys, **bounds)
             parameters = {key: float(keys[key]) for key in self.parameters_of}
         except (OverflowError, ZeroDivisionError):

@@ -487,7 +487,7 @@ def fitted_law(
     family = FAMILIES.get(how, FAMILIES["empirical"])
     observed = tuple(values.tolist())
     law = Law(family=family, lower=a, upper=b, data=observed, censored=tuple(sorted(censored)))
-    if family.observed is not None:
+    if family.observed:
         width = bandwidth(values) if how == "kde" else 0.0
         return replace(law, parameters={"bandwidth": width}).checked()
     least, *_, largest = observed
@@ -610,7 +610,7 @@ def _made_again(law: Law, generator: Generator) -> Law:
     family = law.family
     n = len(law.data)
     for _ in range(20):
-        if family.observed is not None:
+        if family.observed:
             sample = np.sort(generator.choice(law.data, n))
             if np.ptp(sample) > 0.0:
                 width = 0.0 if law.is_steps else bandwidth(sample)

@@ -86,7 +86,7 @@ def law_table(distribution: LawLike) -> dict[str, Any]:
     law = as_law(distribution)
     if law.family.name == "discrete":
         return {"dist": "discrete", "values": law.data}
-    if law.family.observed is not None or law.data:
+    if law.family.observed or law.data:
         raise LawError(
             "a study file has no table for it: write a sample or the observations to a CSV and "
             'name that, { file = "rows.csv", column = "x" }, or give it to uqsphere.analysis'
@@ -194,7 +194,7 @@ def _of_chaospy(distribution: Any, kind: str) -> Law:
         inner = distribution._dist
         parameters = distribution._parameters
         law = as_law(inner)
-        if law.family.bounded or law.family.observed is not None:
+        if law.family.bounded or law.family.observed:
             # chaospy's own functions of a law with two new ends are wrong
             raise LawError(
                 f"{distribution}: give the law that is truncated by its table, with lower and upper"

@@ -83,13 +83,12 @@ class Form:
             lower = np.minimum(start[0] + p * mass, 1.0)
             return self.quantile(lower, np.minimum(end[1] + q * mass, 1.0))
 
-        low, high = np.where(np.isinf([a, b]), self.orders, inf).tolist()
         return Form(
             tails=tails,
             quantile=quantile,
             pdf=lambda y: self.pdf(y) / mass,
             mass=mass,
-            orders=(low, high),
+            orders=tuple(np.where(np.isinf([a, b]), self.orders, inf).tolist()),
         )
 
     def falling(self, order: float = inf) -> "Form":

@@ -69,7 +69,7 @@ class Law:
     @cached_property
     def _whole(self) -> Placed:
         """Location, scale and standard form before truncation."""
-        if self.family.observed is not None:
+        if self.family.observed:
             return 0.0, 1.0, self.family.observed(self)
         assert self.family.form is not None
         return self.family.form(**self.parameters, **self.family.bounds(self.lower, self.upper))
@@ -196,7 +196,7 @@ class Law:
         trapezoidal rule converges geometrically; a mean about its own start loses no digits.
         """
         location, scale, _ = self._whole
-        if self.form.moments is not None and not self.family.logarithmic:
+        if self.form.moments and not self.family.logarithmic:
             return location + scale * self.form.moments[0], scale * self.form.moments[1]
         z = np.linspace(-CERTAIN, CERTAIN, 37 * 128 + 1)
         weights = np.exp(-0.5 * z * z)
@@ -289,7 +289,7 @@ def make_law(
     family = family_named(name)
     if family is None:
         raise LawError(f"unknown distribution {name!r}; known: {', '.join(FAMILIES)}", "dist")
-    if family.observed is not None:
+    if family.observed:
         raise LawError(f"an {name} law is made from observations", "file")
     a, b = bounds_of(lower, upper)
     parameters = family.parameters(given, a, b)

@@ -95,9 +95,8 @@ class Sample:
 
     def with_answers(self, quantities: Names, answers: Array, **flags: Any) -> "Sample":
         """The same points with answers (R, n, q); `censored` and `status` are zero unless given."""
-        blank = Sample.at(self.names, self.scores, self.inputs)
-        flags = {"censored": np.zeros(answers.shape, bool)} | flags
-        return replace(blank, quantities=tuple(quantities), answers=answers, **flags)
+        zero = {"censored": np.zeros(answers.shape, bool), "status": np.zeros_like(self.status)}
+        return replace(self, quantities=tuple(quantities), answers=answers, **(zero | flags))
 
     def with_room(self, count: int) -> "Sample":
         """The same rows in arrays of `count` rows of each replicate; those behind have no content
