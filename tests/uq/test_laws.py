@@ -228,9 +228,9 @@ def test_steps_law_is_the_sample() -> None:
     assert law.sf(np.array([2.0])).tolist() == [0.4]
     assert law.ppf(np.array([0.1, 0.2, 0.2001, 0.6, 1.0])).tolist() == [1.0, 1.0, 2.0, 2.0, 5.0]
     assert (law.mean(), law.sd()) == pytest.approx((np.mean(data), np.std(data)))
-    cut = fitted_law(data, "steps", lower=2.0)
-    assert cut.mean() == 3.0
-    assert set(cut.from_normal(np.linspace(-5, 5, 99))) == {2.0, 3.0, 5.0}
+    assert set(law.from_normal(np.linspace(-5, 5, 99))) == {1.0, 2.0, 3.0, 5.0}
+    with pytest.raises(LawError, match="from 1 to 5 lie outside"):
+        fitted_law(data, "steps", lower=2.0)
     with pytest.raises(LawError, match="no density"):
         law.pdf(np.array([1.0]))
 
@@ -305,11 +305,11 @@ REFUSED = [
     (
         "empirical",
         {},
-        {"data": [1.0, 2.0, 3.0], "fit": "steps", "lower": 2.5},
-        "dist",
-        "no scatter",
+        {"data": [1.0, 2.0, 3.0], "fit": "kde", "upper": 2.5},
+        "upper",
+        "lie outside",
     ),
-    ("empirical", {}, {"data": [1.0, 2.0], "fit": "steps", "lower": 7.0}, "lower", "no mass"),
+    ("empirical", {}, {"data": [1.0, 2.0], "fit": "steps", "lower": 7.0}, "lower", "lie outside"),
 ]
 
 

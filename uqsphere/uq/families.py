@@ -92,10 +92,10 @@ class Family:
 
     def allowed(self) -> str:
         """The alternatives in words."""
-        sets = " or ".join("(" + ", ".join(keys) + ")" for keys in self.alternatives if keys)
+        sets = " or ".join(f"({', '.join(keys)})" for keys in self.alternatives if keys)
         extra = ", ".join(f"{key} = {value:g}" for key, value in self.optional.items())
         bounds = "lower, upper" if self.bounded else ""
-        return "; ".join(part for part in (sets, extra, bounds) if part)
+        return "; ".join(filter(None, (sets, extra, bounds)))
 
     def parameters(self, table: Mapping[str, float], lower: float, upper: float) -> Keys:
         """The parameters that a law keeps, from one of the alternative key sets; raises

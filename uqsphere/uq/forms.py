@@ -323,24 +323,24 @@ def empirical(law: "Law") -> Form:
     """A kernel density of the observations with the parameter `bandwidth`; a step function where
     that is 0.
     """
+    data = np.array(law.data)
     width = law.parameters["bandwidth"]
     if width > 0.0:
-        return _kernels(np.array(law.data), width)
-    inside = law.inside
+        return _kernels(data, width)
 
     def tails(x: Array) -> Tails:
-        share = np.searchsorted(inside, x, side="right") / inside.size
+        share = np.searchsorted(data, x, side="right") / data.size
         return share, 1.0 - share
 
     def quantile(p: Array, q: Array) -> Array:
         """The smallest observation whose share at or below it reaches p."""
         # A share such as 3/10 is not exact in binary: half a unit of rounding must not skip an
         # observation.
-        rank = np.ceil(p * inside.size * (1.0 - 4e-16)).astype(int) - 1
-        return np.asarray(inside[np.clip(rank, 0, inside.size - 1)])
+        rank = np.ceil(p * data.size * (1.0 - 4e-16)).astype(int) - 1
+        return np.asarray(data[np.clip(rank, 0, data.size - 1)])
 
-    moments = (float(inside.mean()), float(inside.std())) if inside.size else (nan, nan)
-    return Form(tails=tails, quantile=quantile, moments=moments, mass=inside.size / len(law.data))
+    moments = float(data.mean()), float(data.std())
+    return Form(tails=tails, quantile=quantile, moments=moments)
 
 
 def bandwidth(data: Array) -> float:

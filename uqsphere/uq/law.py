@@ -103,12 +103,6 @@ class Law:
         return x
 
     @property
-    def inside(self) -> Array:
-        """The observations between the bounds (m,)."""
-        data = np.array(self.data)
-        return data[(data >= self.lower) & (data <= self.upper)]
-
-    @property
     def tests(self) -> int:
         """How many tests the law was made from, those included that ended without a failure."""
         if self.draws:

@@ -127,7 +127,7 @@ def steps_of(law: Law) -> Pair:
     """Normal scores (m,) in the middle of the steps of a law with few values, and their
     probabilities.
     """
-    counts = np.unique(law.inside, return_counts=True)[1]
+    counts = np.unique(law.data, return_counts=True)[1]
     weights = counts / counts.sum()
     return special.ndtri(np.cumsum(weights) - 0.5 * weights), weights
 
