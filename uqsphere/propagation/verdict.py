@@ -365,18 +365,19 @@ def _library(judged: Judged) -> LibraryRange | None:
         if other.limit.name == settled.governing.limit.name:
             mode = other
     rest = aim.without(mode.limit.name)
-    numbers = []
-    for law in (mode.weak, mode.strong):
+
+    def number(law: Law) -> float | None:
+        """The number by another strength of the mode."""
         other = replace(mode, limit=replace(mode.limit, strength=law))
-        taken = replace(rest, modes=(*rest.modes, other))
-        numbers.append(replace(settled, aim=taken).number)
-    weak, strong = numbers
+        return replace(settled, aim=replace(rest, modes=(*rest.modes, other))).number
+
+    weak = number(mode.weak)
     if not governs and settled.is_number(weak):
         return None
     return LibraryRange(
         mode=mode.called,
         weak=weak,
-        strong=strong,
+        strong=number(mode.strong),
         mean_strengths=(mode.weak.mean(), mode.strong.mean()),
     )
 
