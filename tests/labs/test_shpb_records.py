@@ -560,6 +560,8 @@ def test_the_rows_of_the_sheet_are_the_numbers_of_the_test(tmp_path: Path) -> No
         ("first touch", test.touch * 1e6),
     ):
         assert float(shown[name].split()[0]) == pytest.approx(value, rel=1e-3), name
+    # no finer than the samples
+    assert shown["first touch"] == f"{test.touch * 1e6:.1f} us"
     # half the rise of sin² from a quarter of its length to its half: 12.5 kN in 30 us
     assert test.loading_rate == pytest.approx(12.5e3 / 30e-6, rel=0.05)
 
@@ -606,13 +608,13 @@ def test_the_sheet_the_forces_and_the_pulse(
     (tmp_path / "three.toml").write_text(text.replace("[record]", "[record]\nfoo = 1"))
     assert main(["shpb", "records", str(tmp_path / "three.toml")]) == 2
     assert "record.foo" in capsys.readouterr().err
-    assert (
-        main(
-            ["shpb", "records", *[str(tmp_path / "one.toml")] * 2, "--out", str(tmp_path / "many")]
-        )
-        == 0
-    )
+    (tmp_path / "again.toml").write_text(text)
+    both = [str(tmp_path / name) for name in ("one.toml", "again.toml")]
+    assert main(["shpb", "records", *both, "--out", str(tmp_path / "many")]) == 0
+    assert "again.toml: the same record as one.toml" in capsys.readouterr().err
     assert len((tmp_path / "many/tests.csv").read_text().splitlines()) == 3
+    assert main(["shpb", "records", both[0], both[0], "--out", str(tmp_path / "many")]) == 2
+    assert "two input files are named one" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["shpb", "nothing"])
 
@@ -621,6 +623,10 @@ def test_the_shipped_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     study = Path(__file__).parents[2] / "studies/lab_gauge_records.toml"
     assert main(["shpb", "records", str(study), "--json"]) == 0
     forces = json.loads(capsys.readouterr().out)["forces"]
+    # what is doubted of one face is not the width of the interval beside the mean
+    ((of_a,), (of_mean,)) = (forces[face]["doubts"] for face in ("A", "mean"))
+    assert of_a.startswith("poorly determined: its 95 % interval is ±19%")
+    assert of_mean == f"A: {of_a}"
     # the scene that it was computed from bears 2.5 to 2.8 kN when it breaks
     assert forces["B"]["low"] < 2.7e3 < forces["B"]["high"]
 

@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from dataclasses import asdict
+from pathlib import Path
 
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text, tell
@@ -18,7 +19,15 @@ def _records(chosen: Namespace) -> int:
     from .mending import load_record
     from .waves import read_test
 
-    several = len(chosen.file) > 1
+    names = [path.stem for path in chosen.file]
+    several = len(names) > 1
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(
+                f"two input files are named {name}: a test counts once, and its sheet has a folder "
+                "of that name. Leave one out, or rename it"
+            )
+    records = dict[Path, str]()
     lines = []
     texts = []
     files = dict[str, str]()
@@ -34,6 +43,9 @@ def _records(chosen: Namespace) -> int:
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
             continue
+        other = records.setdefault((path.parent / asked.record.file).resolve(), path.name)
+        if other != path.name:
+            tell(f"{path.name}: the same record as {other}: one test, two lines of tests.csv")
         if not chosen.json:
             for change in test.changes:
                 tell(f"{path.name}: {change.step}: {change.text}")

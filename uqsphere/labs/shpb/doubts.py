@@ -152,10 +152,6 @@ def check_specimen(
                 f"{2.0 * pressed * 1e-3:.4g} kN",
                 2.0 * pressed,
             )
-        width = peak.high - peak.low
-        if _WIDE * peak.value < width < math.inf:
-            half = 0.5 * width / peak.value
-            peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
         if strongest and peak.low > strongest:
             peaks.doubt(
                 face,
@@ -189,3 +185,20 @@ def check_specimen(
             "explains the difference. B is the force at the far face"
         ]
     return []
+
+
+def check_widths(peaks: Peaks) -> None:
+    """Doubt forces whose intervals are wide, as all other checks leave them; the mean takes the
+    doubts of each face as those of that face (in place).
+    """
+    for face, peak in dict(peaks).items():
+        width = peak.high - peak.low
+        if _WIDE * peak.value < width < math.inf:
+            half = 0.5 * width / peak.value
+            peaks.doubt(face, f"poorly determined: its {LEVEL_TEXT} interval is ±{half:.0%}")
+    if "mean" not in peaks:
+        return
+    for face in ("A", "B"):
+        for text in peaks[face].doubts:
+            if text not in peaks["mean"].doubts:
+                peaks.doubt("mean", f"{face}: {text}")

@@ -23,7 +23,14 @@ from uqsphere.errors import UsageError
 from uqsphere.mechanics.bars import correct
 
 from .arrivals import Arrivals, find_arrivals
-from .doubts import EQUILIBRIUM, check_bending, check_impulse, check_specimen, check_striker
+from .doubts import (
+    EQUILIBRIUM,
+    check_bending,
+    check_impulse,
+    check_specimen,
+    check_striker,
+    check_widths,
+)
 from .mending import Record, Signal, note, smooth
 from .peaks import Force, Peak, Peaks, largest_force
 from .recorder import Changes
@@ -166,6 +173,7 @@ def read_test(record: Record) -> Reading:
     pressed = bar.stiffness * wave.peak if wave.ended else math.inf
     notes = check_specimen(peaks, pressed, record.document.specimen.strongest, mass)
     _check_gauges(peaks, record, window)
+    check_widths(peaks)
     balanced, rate = _balance(forces, largest, step)
     touch = record.start + step * wave.start
     if not asked.aligned:
@@ -360,7 +368,7 @@ def _near_face(
 
 
 def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
-    """Compare the gauges of each bar; the mean takes the doubts of both faces (in place)."""
+    """Compare the gauges of each bar (in place)."""
     count = window.length
     incident = record.incident
     receiving = record.receiving
@@ -376,9 +384,6 @@ def _check_gauges(peaks: Peaks, record: Record, window: _Window) -> None:
     )
     stiffness = incident.bar.stiffness
     check_bending(peaks, "A", stiffness * spread, step, stiffness * incident.wave.peak)
-    for text in peaks["A"].doubts + peaks["B"].doubts:
-        if text not in peaks["mean"].doubts:
-            peaks.doubt("mean", text)
 
 
 def _balance(forces: dict[str, Force], peak: Peak, step: float) -> tuple[float | None, float]:
