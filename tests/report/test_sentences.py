@@ -274,6 +274,7 @@ def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -
     text = DecisionText(granite, decision(caveats=caveats))
     assert text.open == ["slow tests: set limits.force.rate_0 and set limits.energy.rate_0"]
     remedy = Remedy(code="include the rate", subject="limits.energy")
+    caveats.append(Caveat(code="synthetic tests", subject="limits.energy"))
     text = DecisionText(granite, decision(caveats=caveats, next=remedy))
     assert text.next == "Set limits.energy.rate_0."
 

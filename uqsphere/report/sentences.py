@@ -192,12 +192,16 @@ class DecisionText:
         of = ""
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
-        ways = {caveat.subject: caveat.text.rpartition(": ")[2] for caveat in decision.caveats}
+        ways = {
+            caveat.subject: capital(caveat.text.rpartition(": ")[2])
+            for caveat in decision.caveats
+            if caveat.code == "rate"
+        }
         text = _REMEDIES[remedy.code].format(
             subject=subject,
             tail=tail,
             strength=strengths.get(subject, "strength"),
-            way=capital(ways.get(remedy.subject, "")),
+            way=ways.get(remedy.subject),
         )
         if remedy.gains:
             gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
