@@ -79,7 +79,7 @@ def test_the_sentence_has_number_plan_and_what_governs(granite: Results) -> None
     assert text.use == "Use at most 0.65 m/s"
     assert text.sentence == (
         "Planned striker speed: 0.5 m/s, safety factor 1.3. "
-        "Crushing governs, by the lower end of what its 20 tests leave open."
+        "Limit crushing governs, by the lower end of what its 20 tests leave open."
     )
     assert text.broken.endswith("0.200 % (0.190 to 0.210 %). Target: at most 1 %.")
     assert doubt_text(doubt) == "20 tests, Weibull distribution"
@@ -148,7 +148,10 @@ def test_a_strength_of_the_library_that_governs_gives_three_numbers(granite: Res
     assert "By your own limits: at most 0.65 m/s (strength independent of the inputs)." in (
         text.sentence
     )
-    assert "97 % with all failure modes, 0.2 % to 0.8 % by your own limits. " in text.broken
+    assert (
+        "97 % with all failure modes; by your own limits 0.2 %, 0.8 % with its strength taken as "
+        "independent of the inputs. " in text.broken
+    )
     assert len(f"{text.use}. {text.sentence}".split()) <= 45
     assert text.open == ["core tension rests on a strength of the library, not of this rock"]
     assert text.next.startswith("Measure the tensile strength (core tension)")
@@ -188,8 +191,11 @@ def test_a_total_says_what_it_leaves_out(granite: Results) -> None:
     judged = decision(
         doubts=[Doubt(**row, counts=False)], all_modes=Range(value=0.34), probability=Range(value=0)
     )
-    assert all_modes(judged) == "all but ring crack (damage)"
-    assert "34 % with all but ring crack (damage)" in DecisionText(granite, judged).broken
+    assert all_modes(judged) == "all failure modes but ring crack (damage)"
+    assert (
+        "34 % with all failure modes but ring crack (damage)"
+        in DecisionText(granite, judged).broken
+    )
     assert all_modes(decision()) == "all failure modes"
 
 
@@ -248,12 +254,18 @@ def test_a_probability_of_which_nothing_was_seen_is_below_its_bound(granite: Res
 
 
 def test_what_a_number_of_tests_buys_is_told(granite: Results) -> None:
-    gains = [{"tests": n, "low": x, "median": x, "high": x} for n, x in ((25, 0.7), (100, 0.8))]
+    gains = [
+        {"tests": n, "low": x - 0.1, "median": x, "high": x + 0.1}
+        for n, x in ((25, 0.75), (100, 0.85))
+    ]
     remedy = Remedy.model_validate(
         {"code": "test more", "subject": "limits.crushing", "gains": gains}
     )
     text = DecisionText(granite, decision(next=remedy))
-    assert text.next.endswith("25 tests: 0.7 m/s; 100 tests: 0.8 m/s.")
+    assert text.next.endswith(
+        "would be about (80 % range): 25 tests: 0.75 m/s (0.650 to 0.850); 100 tests: 0.85 m/s "
+        "(0.750 to 0.950)."
+    )
 
 
 def test_no_number_says_by_which_limit(granite: Results) -> None:
@@ -276,7 +288,7 @@ def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -
     remedy = Remedy(code="include the rate", subject="limits.energy")
     caveats.append(Caveat(code="synthetic tests", subject="limits.energy"))
     text = DecisionText(granite, decision(caveats=caveats, next=remedy))
-    assert text.next == "Set limits.energy.rate_0."
+    assert text.next == "Set limits.energy.rate_0, or test at the rate of the rig."
 
 
 def test_synthetic_tests_of_several_limits_are_one_clause(granite: Results) -> None:

@@ -123,9 +123,10 @@ def draw_density(axes: Axes, results: Results, quantity: str) -> None:
             axes.axvline(onset, ymax=0.76, color=RED, linewidth=1.2, linestyle="--")
             low = min(low, onset - 0.05 * span)
             high = max(high, onset + 0.05 * span)
+        often = format_probability(share) if share else "none"
         words = (
             f"softer body yields from {onset:.3g} {unit}",
-            f"in {format_probability(share)} of impacts{effect}",
+            f"in {often} of the impacts{effect}",
         )
         names += [(onset, 1.35 * peak, -10.0 - 14.0 * k, text) for k, text in enumerate(words)]
     axes.set(xlim=(low, high), ylim=(0.0, 1.35 * peak), xticks=[], yticks=[])

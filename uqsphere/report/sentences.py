@@ -38,6 +38,7 @@ from .format import (
     probability,
     small,
     value,
+    value_range,
 )
 
 #: why a run ended
@@ -117,7 +118,7 @@ class DecisionText:
         library = decision.library
         if library is not None and not self._library_governs and self.number(library.weak) != used:
             mode = capital(library.mode)
-            parts.append(f"{mode} has a strength of the library{self._library_range}.")
+            parts.append(f"{mode} is assumed{self._library_range}.")
         own = decision.own
         if own is not None and own.margin is not None and self.number(own.margin) != used:
             text = f"By your own limits: {self._allowed(own.margin)}"
@@ -155,12 +156,12 @@ class DecisionText:
         else:
             own = decision.own
             sets = [(doubt.subject, doubt.code) for doubt in self._setting]
+            text += f"{together} with {all_modes(decision)}; by your own limits {alone}"
             if own is not None and (own.subject, own.code) not in sets:
                 # by the doubt that the sentence names
                 at_plan = probability_at_target(decision.aim, own.at_plan, own.target)
                 if own.code != "computation" and at_plan != alone:
-                    alone += f" to {at_plan}"
-            text += f"{together} with {all_modes(decision)}, {alone} by your own limits"
+                    text += f", {at_plan} {_words(own)[0]}"
         if computed and decision.probability.note:
             text += f", {decision.probability.note}"
         if decision.target is None:
@@ -192,20 +193,25 @@ class DecisionText:
         of = ""
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
-        ways = {
-            caveat.subject: capital(caveat.text.rpartition(": ")[2])
-            for caveat in decision.caveats
-            if caveat.code == "rate"
-        }
+        way = ""
+        for caveat in decision.caveats:
+            if (caveat.code, caveat.subject) == ("rate", remedy.subject):
+                way = capital(caveat.text.rpartition(": ")[2])
+                if way.startswith("Set"):
+                    way += ", or test at the rate of the rig"
         text = _REMEDIES[remedy.code].format(
             subject=subject,
             tail=tail,
             strength=strengths.get(subject, "strength"),
-            way=ways.get(remedy.subject),
+            way=way,
         )
-        if remedy.gains:
-            gains = [f"{gain.tests} tests: {self.number(gain.median)}" for gain in remedy.gains]
-            text += f". The number to use would be about: {'; '.join(gains)}"
+        if remedy.gains and self._free is not None:
+            gains = []
+            for gain in remedy.gains:
+                band = value_range(gain.low, gain.high, self._free.quantity)
+                band = band.removesuffix(f" {self._free.unit}")
+                gains.append(f"{gain.tests} tests: {self.number(gain.median)} ({band})")
+            text += f". The number to use would be about (80 % range): {'; '.join(gains)}"
         elif remedy.at_best is not None:
             text += f"; the number to use would then be {self.number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
@@ -287,7 +293,10 @@ class DecisionText:
     @property
     def _governs(self) -> str:
         """What sets the number to use."""
-        text = f"{capital(plain_name(self.decision.governing))} governs"
+        name = plain_name(self.decision.governing)
+        if self.decision.governing.startswith("limits."):
+            name = f"limit {name}"
+        text = f"{capital(name)} governs"
         if self._library_governs:
             return f"{text}, with a strength of the library{self._library_range}."
         for doubt in self._setting:
@@ -308,17 +317,19 @@ class DecisionText:
 
     @property
     def _library_range(self) -> str:
-        """What both ends of a strength of the library make of the number."""
+        """What the ends of a strength of the library make of the number; nothing of a strong end
+        that leaves it as it is.
+        """
         library = self.decision.library
         if library is None or (self._library_governs and None in (library.weak, library.strong)):
             return ""
         quantity = self.results.study.modes[library.mode].quantity
         low, high = (value(x, quantity) for x in library.mean_strengths)
-        weak = self.number(library.weak)
-        strong = "whole range"
-        if library.strong is not None:
-            strong = self.number(library.strong)
-        return f" (weak {low}: {weak}; strong {high}: {strong})"
+        text = f"weak {low}: {self.number(library.weak)}"
+        strong = self.number(library.strong)
+        if library.strong is not None and not self.use.endswith(f" {strong}"):
+            text += f"; strong {high}: {strong}"
+        return f" ({text})"
 
     @property
     def _why_none(self) -> str:
@@ -512,7 +523,7 @@ def all_modes(decision: Decision) -> str:
     """
     damage = _damage_modes([decision])
     if damage:
-        return f"all but {listed(damage)} (damage)"
+        return f"all failure modes but {listed(damage)} (damage)"
     return "all failure modes"
 
 

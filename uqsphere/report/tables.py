@@ -142,7 +142,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results)
     marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
-    note = "bold: governs"
+    note = "margins rounded to the safe side; bold: governs"
     if marked and any(doubt.counts for doubt in doubts[: marked[0]]):
         note += ", as most failures at the number are by it"
     if any(doubt.code == "assumed strength" for doubt in doubts):
@@ -252,12 +252,16 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     if use is not None and free is not None:
         together, p = "each by itself", ""
         if decision.adds_up:
-            together = all_modes(decision).replace("all failure modes", "all together")
+            # what is damage is in the note
+            together = all_modes(decision).removesuffix(" (damage)")
+            together = together.replace("failure modes but", "but")
+            together = together.replace("failure modes", "together")
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
         span = _span(text, use.best.low, use.best.high)
-        name = f"{together}, to {decision.aim}"
-        yield name, p, "", best, text.number(use.value), span, "", ""
+        if len(results.decisions) > 1:
+            together += f", to {decision.aim}"
+        yield together, p, "", best, text.number(use.value), span, "", ""
 
 
 def _span(decision: DecisionText, low: float | None, high: float | None) -> str:

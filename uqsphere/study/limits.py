@@ -298,7 +298,8 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     if not (slopes > _RISES).all():
         raise Fault(
             f"{demand} is insensitive to the force of such tests, so the strength cannot be "
-            "inferred. Use another criterion"
+            "inferred. Check that the diameter is no radius, and both units; else use another "
+            "criterion"
         )
 
     def by_value(modulus: float) -> tuple[Law, float]:
@@ -323,7 +324,7 @@ def _warn_of_rate(draft: Draft, limit: Limit) -> None:
         "rate_0" in entry.optional and demand in (name, entry.quantity)
         for name, entry in CRITERIA.items()
     ):
-        way = f"set limits.{limit.name}.rate_0 (110 to 760 1/s), or test at the rate of the rig"
+        way = f"set limits.{limit.name}.rate_0 (110 to 760 1/s)"
     if limit.aim == "survive":
         draft.warn(f"{text}. Ignoring this is conservative; to include it, {way}")
     else:
