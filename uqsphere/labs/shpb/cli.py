@@ -19,14 +19,7 @@ def _records(chosen: Namespace) -> int:
     from .mending import load_record
     from .waves import read_test
 
-    names = [path.stem for path in chosen.file]
-    several = len(names) > 1
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(
-                f"two input files are named {name}: a test counts once, and its sheet has a folder "
-                "of that name. Leave one out, or rename it"
-            )
+    several = len(chosen.file) > 1
     records = dict[Path, str]()
     lines = []
     texts = []
@@ -43,9 +36,10 @@ def _records(chosen: Namespace) -> int:
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
             continue
-        other = records.setdefault((path.parent / asked.record.file).resolve(), path.name)
-        if other != path.name:
-            tell(f"{path.name}: the same record as {other}: one test, two lines of tests.csv")
+        record = (path.parent / asked.record.file).resolve()
+        if record in records:
+            tell(f"{path.name}: the record of {records[record]}: one test, two lines of tests.csv")
+        records[record] = path.name
         if not chosen.json:
             for change in test.changes:
                 tell(f"{path.name}: {change.step}: {change.text}")

@@ -48,9 +48,7 @@ def rows(test: Reading) -> list[tuple[str, str, str]]:
         part = "of the rise from half the largest force"
         lines.append(("forces within 5 % of their mean", f"{test.balanced:.0%}", part))
     lines.append(("loading rate", f"{test.loading_rate * 1e-9:.4g} kN/us", ""))
-    # to the digit of the sampling interval
-    places = max(math.ceil(-math.log10(test.step * 1e6)), 0)
-    lines.append(("first touch", f"{test.touch * 1e6:.{places}f} us", "in the record"))
+    lines.append(("first touch", f"{test.touch * 1e6:.1f} us", "in the record"))
     return lines
 
 
