@@ -22,7 +22,7 @@ from dataclasses import replace
 from uqsphere.mechanics import rigs
 
 old = rigs.RIGS["load_cell"]
-rigs.RIGS["bench"] = replace(old, name="bench", title="on a bench", meaning="a dummy rig")
+rigs.RIGS["bench"] = replace(old, name="bench", title="on a bench")
 
 import uqsphere
 study = uqsphere.load_study({study!r}, ["analysis.budget.evaluations=1024", "rig.kind=bench"])

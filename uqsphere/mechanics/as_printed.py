@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Values
-from uqsphere.units import UNITS
 
 from .closed_form import massless_approach, solve_closed
 from .integrator.solve import motion, solve
@@ -53,16 +52,6 @@ class PaperValue(NamedTuple):
     note: str
 
 
-class PaperLine(NamedTuple):
-    """A `PaperValue` as people read it: numbers in `unit`, NaN where there is no value."""
-
-    name: str
-    printed: float
-    corrected: float
-    unit: str
-    note: str
-
-
 def contact_duration(approach: Values, speed: Values) -> Values:
     """t_k - t_1 = 6.715 alpha_max/v0 [s], (3.8); the integral behind it diverges."""
     return DURATION_FACTOR * approach / speed
@@ -93,23 +82,6 @@ def approach_after_pulse(
     return (1.0 / np.sqrt(start) + hertz_constant * after / impedance) ** -2.0
 
 
-def paper_line(value: PaperValue) -> PaperLine:
-    """A value as people read it, in display units; the note gives the full model's value."""
-    entry = OUTPUTS[value.unit_of]
-    unit = entry.display or entry.unit
-    factor = 1.0 / UNITS[entry.dimension].get(unit, 1.0)
-    note = value.note
-    if math.isfinite(value.full):
-        note += f"; full model: {value.full * factor:.4g} {unit}".rstrip()
-    return PaperLine(
-        name=value.name,
-        printed=value.printed * factor,
-        corrected=value.corrected * factor,
-        unit=unit,
-        note=note,
-    )
-
-
 def compare_with_paper(scene: Scene) -> tuple[PaperValue, ...]:
     """The paper's printed values beside the corrected ones and the full model's, for the first row.
 
@@ -120,13 +92,10 @@ def compare_with_paper(scene: Scene) -> tuple[PaperValue, ...]:
     (status,) = scene.status.tolist()
     if status:
         raise ValueError(f"row 0 cannot be compared: {STATUS[status]}")
-    # under a rectangular pulse of its length, or under its step
     horizon = None
-    shape = "rectangular"
     if scene.shape == "step":
         horizon = scene.horizon or float(scene.record_end[0])
-        shape = "step"
-    corrected = solve_closed(_in_infinite_bars(scene, shape, horizon), "massless")
+    corrected = solve_closed(_in_infinite_bars(scene, horizon), "massless")
     full = solve(scene, tolerance=_TOLERANCE)
     scales = scene.scales.at(0)
     speed = float(scene.columns["striker.speed"][0])
@@ -236,14 +205,18 @@ def _number(answers: SceneAnswers, quantity: str) -> float:
     return float(answers.values[quantity][0])
 
 
-def _in_infinite_bars(scene: Scene, shape: str, horizon: float | None) -> Scene:
-    """The scene with an ideal pulse in infinite bars, for a striker of the bars' material."""
+def _in_infinite_bars(scene: Scene, horizon: float | None) -> Scene:
+    """The scene in infinite bars, for a striker of the bars' material: under a rectangular pulse of
+    its length, or under a step up to a horizon [s].
+    """
     columns = {
         name: column
         for name, column in scene.columns.items()
         if not name.startswith("pulse.") and name not in STRIKER_COLUMNS
     }
-    if shape != "step":
+    shape = "step"
+    if horizon is None:
+        shape = "rectangular"
         columns["pulse.duration"] = scene.scales.duration
     return replace(
         scene,
@@ -261,5 +234,5 @@ def _settled(scene: Scene) -> float:
     """Approach [m] of the full model at the end of an endless step in infinite bars."""
     scales = scene.scales.at(0)
     horizon = _SETTLED * max(1.0, scales.mass_number) * scales.time
-    course = motion(_in_infinite_bars(scene, "step", horizon), 0, tolerance=_TOLERANCE)
+    course = motion(_in_infinite_bars(scene, horizon), 0, tolerance=_TOLERANCE)
     return float(course.states_at(np.array([horizon]))[0, :2].mean())

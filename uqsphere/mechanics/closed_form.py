@@ -230,7 +230,7 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
         # plastic contact and radiated waves together have no closed form
         return every & (ahead.kind in ("thick", "mass"))
     duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
-    return (ahead.reflection == 0.0) | ~(duration > ahead.round_trip)
+    return ~(duration > scene.echoes[:, 1])
 
 
 def _is_light(scene: Scene, fidelity: str) -> bool:

@@ -77,11 +77,11 @@ CRITERIA = {
 
 def _demand_quantity(entry: Criterion) -> Quantity:
     """The nomenclature of a demand; with a rate effect its meaning says that it is included."""
-    meaning = entry.measures
+    quantity = replace(entry, meaning=entry.measures)
     if "rate_0" in entry.optional and entry.quantity is not None:
-        label = meaning.partition(":")[0]
-        meaning = f"{label} divided by the strain-rate strengthening factor"
-    return replace(entry, meaning=meaning)
+        meaning = f"{quantity.called} divided by the strain-rate strengthening factor"
+        return replace(quantity, meaning=meaning)
+    return quantity
 
 
 #: demands of criteria by the criterion; a study adds the limit's name,

@@ -246,10 +246,7 @@ def _search_times(motion: Motion, number: int) -> Array:
     """Instants at a contact: an even grid, the kinks of the pulse, and their reflections."""
     horizon = motion.horizon
     trip = motion.round_trip(number)
-    breaks = motion.scene.pulse.breaks[motion.row]
-    kinks = breaks[np.isfinite(breaks)]
-    if motion.reflection(number):
-        kinks = np.concatenate([kinks, kinks + trip, [trip]])
+    kinks = pulse_kinks(motion, [0.0, motion.echo(number)])
     near = min(horizon, 4.0 * trip, 20.0 * motion.pulse_end)
     grids = [np.linspace(0.0, end, _SEARCH_POINTS) for end in (horizon, near)]
     grid = np.concatenate([*grids, kinks])
@@ -316,13 +313,11 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     delay = position / motion.wave_speed
     end = last_time(motion, bar, position)
     begin = -1.1 * delay if number == 0 else 0.0
-    # jumps and kinks at the contact: of the pulse and of its reflections
-    jumps = motion.scene.pulse.breaks[motion.row]
-    jumps = jumps[np.isfinite(jumps)] if number == 0 else np.zeros(0)
-    if motion.reflection(number):
-        trip = motion.round_trip(number)
-        echoes = np.arange(1 + int(min(motion.horizon / trip, 16.0)))
-        jumps = (jumps[:, None] + echoes * trip).ravel()
+    jumps = np.zeros(0)
+    if number == 0:
+        echo = motion.echo(number)
+        count = int(min(motion.horizon / echo, 16.0))
+        jumps = pulse_kinks(motion, [0.0, *(echo * np.arange(1, 1 + count))])
     jumps = np.unique(np.concatenate([jumps - delay, jumps + delay]))
     jumps = jumps[(jumps > begin) & (jumps < end)]
     times, sides = with_jumps(np.linspace(begin, end, points), jumps)
@@ -339,9 +334,13 @@ def last_time(motion: Motion, bar: str, position: float) -> float:
     """Last instant [s] at which the motion up to the horizon determines a position of a bar."""
     number = BARS.index(bar)
     delay = position / motion.wave_speed
-    if not motion.reflection(number):
-        return motion.horizon + delay
-    return motion.horizon + min(delay, motion.round_trip(number) - delay)
+    return motion.horizon + min(delay, motion.echo(number) - delay)
+
+
+def pulse_kinks(motion: Motion, delays: Values) -> Array:
+    """Instants (k,) [s] at which the pulse or its slope may jump, after each of several delays."""
+    breaks = motion.scene.pulse.breaks[motion.row]
+    return np.ravel(breaks[np.isfinite(breaks), None] + delays)
 
 
 def with_jumps(smooth: Array, jumps: Array) -> Pair:
@@ -371,12 +370,10 @@ def overlaps(motion: Motion, bar: str, position: float) -> tuple[Overlap, ...]:
         # a step overlaps to the end of the computed time
         end = min(motion.pulse_end - delay, last_time(motion, bar, position))
         overlapping.append(Overlap("incident", "reflected", delay, end))
-    if not motion.reflection(number):
-        return tuple(overlapping)
     # return of the wave that leaves the contact, in the time of the contact
-    trip = motion.round_trip(number)
-    back = trip - 2.0 * delay
-    end = min(trip, motion.horizon)
+    echo = motion.echo(number)
+    back = echo - 2.0 * delay
+    end = min(echo, motion.horizon)
     if back < end:
         instants = np.linspace(0.0, end, _END_POINTS)
         wave = np.abs(leaving(motion, number, instants, sides=-1.0))

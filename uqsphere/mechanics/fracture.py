@@ -151,8 +151,8 @@ class _Course(NamedTuple):
     start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
     m,): of the nodes, which divide every step into 16 parts.  force, energy (16 m,): peak force and
     peak energy so far.  forces (m, 2, 17): coefficients of the drive: the approach, whose 3/2 power
-    is the Hertz force, or the force itself for contacts that yield or differ.  deepest (16 m, 2):
-    peak approaches so far.
+    is the Hertz force, or the force itself for contacts that yield or differ.  deepest (1 + 16 m,
+    2): peak approaches before each node, and in the end.
     """
 
     start: Array
@@ -191,7 +191,7 @@ def _course(motion: Motion) -> _Course:
         times=(start[:, None] + length[:, None] * _SHARES).ravel(),
         force=np.maximum.accumulate(_larger_force(motion.scene, drive)),
         energy=np.maximum.accumulate(_stored(motion.scene, row, drive, approach, deepest)),
-        deepest=deepest,
+        deepest=np.vstack([np.zeros(2), deepest]),
     )
 
 
@@ -272,8 +272,7 @@ def _cross(
         return np.array([getattr(course, name)[k] for course, k in steps])
 
     states, forces = (np.moveaxis(of_steps(name), -1, 0) for name in ("states", "forces"))
-    before = np.stack([c.deepest[max(k - 1, 0)] for c, k in zip(courses, at, strict=True)])
-    before[at == 0] = 0.0
+    before = np.stack([c.deepest[k] for c, k in zip(courses, at, strict=True)])
 
     def moment(share: Array) -> dict[str, Array]:
         """Larger force and energy (n,) at a fraction (n,) of the steps."""

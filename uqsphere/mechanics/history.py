@@ -7,13 +7,14 @@ accuracy.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo, Pair, Values, frozen, quiet
+from uqsphere.arrays import Array, Duo, Pair, Places, Values, frozen, quiet
 from uqsphere.errors import UsageError
 
 from . import contact
@@ -27,6 +28,7 @@ from .field import (
     force_imbalance,
     gauge_strain,
     leaving,
+    pulse_kinks,
     with_jumps,
 )
 from .integrator.solve import Motion, motion, solve
@@ -255,15 +257,13 @@ def _pressed(course: Motion, states: Array, forces: Array) -> Pair:
 
 def _instants(course: Motion, points: int, events: Sequence[float]) -> Pair:
     """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
-    scene = course.scene
-    row = course.row
     horizon = course.horizon
     smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
-    breaks = scene.pulse.breaks[row] if scene.by_wave else np.zeros(0)
-    # the first reflection of each bar; later ones are left to the grid
-    delays = np.array([0.0, *(course.round_trip(bar) for bar in (0, 1) if course.reflection(bar))])
-    jumps = np.unique(breaks[np.isfinite(breaks), None] + delays)
-    jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
+    jumps = np.zeros(0)
+    if course.scene.by_wave:
+        # the first reflection of each bar; later ones are left to the grid
+        jumps = np.unique(pulse_kinks(course, [0.0, course.echo(0), course.echo(1)]))
+        jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
     return with_jumps(np.setdiff1d(smooth, jumps), jumps)
 
 
@@ -279,9 +279,11 @@ def _nodes(course: Motion, begin: float, end: float) -> Array:
     return np.concatenate([[begin], inner[(inner > begin) & (inner < end)], [end]])
 
 
-def _zeros(function: Callable[[Array], Array], low: Array, high: Array) -> Array:
+def _zeros(function: Callable[[Array], Array], nodes: Array, at: Places) -> Array:
+    """Instants (m,) [s] at which a function changes its sign between nodes `at` and the next."""
+    low = nodes[at]
     positive = function(low) > 0.0
-    return bisect(lambda times: (function(times) > 0.0) == positive, low, high)[1]
+    return bisect(lambda times: (function(times) > 0.0) == positive, low, nodes[at + 1])[1]
 
 
 def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ...]:
@@ -300,8 +302,8 @@ def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ..
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
         times = _zeros(
             lambda times, of=face: course.states_at(times)[:, of],  # type: ignore[misc]
-            nodes[at],
-            nodes[at + 1],
+            nodes,
+            at,
         )
         for time, before in zip(times, pressed[at], strict=True):
             kind = "lost" if before else "found"
@@ -364,7 +366,7 @@ def equilibrium(history: History, level: float = 0.05) -> float | None:
     entries = np.flatnonzero(outside[:-1] & ~outside[1:])
     if len(entries) == 0:
         return None
-    return float(_zeros(excess, nodes[entries], nodes[entries + 1])[0])
+    return float(_zeros(excess, nodes, entries)[0])
 
 
 # --- the rod of a load cell -----------------------------------------------------------------------
@@ -420,8 +422,7 @@ def view_field(history: History, *, places: int, times: int) -> FieldView:
     """
     course = history.motion
     speed = course.wave_speed
-    trips = [course.round_trip(bar) for bar in (0, 1)]
-    echo = max((trip for bar, trip in enumerate(trips) if course.reflection(bar)), default=0.0)
+    echo = max(filter(math.isfinite, map(course.echo, (0, 1))), default=0.0)
     last = min(max(1.15 * history.record_end, 1.1 * echo), history.horizon)
     last = min(last, 2.2 * echo if echo else 6.0 * course.pulse_end)
     left, right = (min(course.bar_length(bar), 1.2 * speed * last) for bar in (0, 1))

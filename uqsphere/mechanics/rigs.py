@@ -80,16 +80,15 @@ STIFFNESS_RATIO = (1e-3, 1e3)
 class Rig:
     """One rig: a set-up that loads the sphere.
 
-    title: as it stands in the description of a study.  meaning: one sentence.  behind, ahead:
-    tables of the counter-bodies at contacts A and B; empty where the sphere is free.  kinds: their
-    kinds; empty where the study chooses (`target.kind`, `anvil.kind`).  mover: table with the speed
-    that loads the sphere: `striker`, whose pulse arrives through the bar at A; `rig`, where the
-    sphere itself moves, or `hammer`, for bodies that meet with a speed; empty for slow loading.
+    title: as it stands in the description of a study. behind, ahead: tables of the counter-bodies
+    at contacts A and B; empty where the sphere is free. kinds: their kinds; empty where the study
+    chooses (`target.kind`, `anvil.kind`). mover: table with the speed that loads the sphere:
+    `striker`, whose pulse arrives through the bar at A; `rig`, where the sphere itself moves, or
+    `hammer`, for bodies that meet with a speed; empty for slow loading.
     """
 
     name: str
     title: str
-    meaning: str
     behind: str
     ahead: str
     kinds: tuple[str, str]
@@ -136,55 +135,55 @@ class Rig:
 RIGS = {
     rig.name: rig
     for rig in (
+        # a sphere between two bars, one of which a striker hits
         Rig(
             name="bars",
             title="between Hopkinson bars",
-            meaning="a sphere between two bars, one of which a striker hits",
             behind="bars",
             ahead="bars",
             kinds=("bar", "bar"),
             mover="striker",
         ),
+        # a sphere strikes a thick block, a plate, the end of a bar or a free mass
         Rig(
             name="impact",
             title="impact on a body",
-            meaning="a sphere strikes a thick block, a plate, the end of a bar or a free mass",
             behind="",
             ahead="target",
             kinds=("", ""),
             mover="rig",
         ),
+        # a sphere strikes another sphere
         Rig(
             name="sphere_on_sphere",
             title="sphere on sphere",
-            meaning="a sphere strikes another sphere",
             behind="",
             ahead="other",
             kinds=("", "mass"),
             mover="rig",
         ),
+        # a weight falls on a sphere that rests on an anvil
         Rig(
             name="drop_weight",
             title="drop weight",
-            meaning="a weight falls on a sphere that rests on an anvil",
             behind="hammer",
             ahead="anvil",
             kinds=("mass", ""),
             mover="hammer",
         ),
+        # a weight falls on a sphere that rests on a long rod with a gauge
         Rig(
             name="load_cell",
             title="impact load cell",
-            meaning="a weight falls on a sphere that rests on a long rod with a gauge",
             behind="hammer",
             ahead="rod",
             kinds=("mass", "bar"),
             mover="hammer",
         ),
+        # a sphere is pressed slowly between two platens
         Rig(
             name="platens",
             title="between platens",
-            meaning="a sphere is pressed slowly between two platens",
             behind="platens",
             ahead="platens",
             kinds=("platen", "platen"),

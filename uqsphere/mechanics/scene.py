@@ -320,9 +320,16 @@ class Scene:
         return np.stack([getattr(p, name, none) for p in self.partners], axis=1)
 
     @cached_property
+    def echoes(self) -> Values:
+        """Round trips of the waves that come back from A and B, (n, 2) [s]; infinite where none
+        does.
+        """
+        return np.where(self.reflections != 0.0, self.round_trips, inf)
+
+    @cached_property
     def first_echo(self) -> Values:
         """Arrival of the first reflected wave at the sphere, (n,) [s]; infinite without one."""
-        return np.where(self.reflections != 0.0, self.round_trips, inf).min(axis=1)
+        return self.echoes.min(axis=1)
 
     @cached_property
     def record_end(self) -> Array:
@@ -414,8 +421,8 @@ class Scene:
         if self.setup.by_impact:
             codes[self.closing_speed <= 0.0] = NEVER_CLOSES
         if self.by_wave and not self.infinite:
-            too_long = self.pulse.end > self.round_trips[:, 0] * (1.0 + 1e-9)
-            codes[inside & too_long & (self.reflections[:, 0] != 0.0)] = TOO_LONG_PULSE
+            too_long = self.pulse.end > self.echoes[:, 0] * (1.0 + 1e-9)
+            codes[inside & too_long] = TOO_LONG_PULSE
         return codes
 
     def _valid_numbers(self) -> Flags:

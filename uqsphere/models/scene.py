@@ -13,7 +13,6 @@ from uqsphere.documents import Fault, refusal
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
 from uqsphere.mechanics import closed_form
-from uqsphere.mechanics.as_printed import PaperLine, compare_with_paper, paper_line
 from uqsphere.mechanics.fracture import Fractures, first_fractures, path_of
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import SceneAnswers, absent_in, merged_answers
@@ -50,15 +49,6 @@ def scene_of(study: Study, values: Mapping[str, Array], rows: int = 1) -> Scene:
             2.0 * np.sqrt(columns["bars.E"] / columns["bars.density"]) * study.record.peak * gain
         )
     return scene_with(columns, study, study.model)
-
-
-def paper_lines(study: Study) -> tuple[PaperLine, ...]:
-    """The paper's printed values beside the corrected ones, every number at its mean; none for a
-    study without `compare_with_paper`.
-    """
-    if not study.model.compare_with_paper:
-        return ()
-    return tuple(map(paper_line, compare_with_paper(scene_of(study, {}))))
 
 
 def scene_at(study: Study, names: Names, rows: Array) -> Scene:
@@ -138,12 +128,11 @@ def evaluate_scene(
         raise UsageError(str(error)) from error
     good = answered(answers.status)
     none = np.zeros(len(rows), bool)
-    values = np.column_stack([answers.values[name] for name in columns])
     failed = np.flatnonzero(~good)[:1]
     return EvaluatedRows(
-        values=np.where(good[:, None], values, np.nan),
+        values=np.column_stack([answers.values[name] for name in columns]),
         censored=np.column_stack([answers.censored.get(name, none) for name in columns]),
-        status=np.where(good, 0, answers.status),
+        status=answers.status,
         note="".join(f"{STATUS[answers.status[k]]} {where_of(names, rows[k])}" for k in failed),
     )
 

@@ -14,10 +14,11 @@ from uqsphere.arrays import Array, Cells
 from uqsphere.mechanics.failure_modes import mode_name
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.models.model import Model
-from uqsphere.models.scene import onset_of, paper_lines
+from uqsphere.models.scene import onset_of
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
 from uqsphere.results.answers import answers_csv, csv_text
 from uqsphere.results.folder import write_files
+from uqsphere.results.paper import paper_of
 from uqsphere.results.types import (
     AccuracyEntry,
     Answer,
@@ -27,7 +28,6 @@ from uqsphere.results.types import (
     FreeNumber,
     InputEntry,
     LimitEntry,
-    PaperRow,
     QuantityEntry,
     Reached,
     Results,
@@ -109,7 +109,7 @@ def results_of(
         decisions=decisions,
         evidence=design.evidence,
         checks=[CheckEntry(**check.model_dump(exclude={"failures"})) for check in checks],
-        paper=[PaperRow(**line._asdict()) for line in paper_lines(study)],
+        paper=paper_of(study),
         accuracy=AccuracyEntry(
             required=study.analysis.accuracy.model_dump(),
             reached=[Reached(runs=runs, error=error) for runs, error in tables.reached],

@@ -28,10 +28,10 @@ from uqsphere.mechanics.outputs import OUTPUTS, absent_in
 from uqsphere.mechanics.rigs import RIGS
 from uqsphere.mechanics.scene import STATUS
 from uqsphere.models.model import announce_compilation
-from uqsphere.models.scene import evaluate_scene, paper_lines, scene_of
+from uqsphere.models.scene import evaluate_scene, scene_of
 from uqsphere.quantities import format_value, lookup
 from uqsphere.results.folder import write_files
-from uqsphere.results.types import PaperRow
+from uqsphere.results.paper import paper_of
 from uqsphere.study import Study
 
 from .figures import Picture, svg
@@ -80,15 +80,12 @@ def history(
     status = int(scene.status[0])
     if status:
         raise UsageError(f"this scene cannot be computed: {STATUS[status]}")
-    fidelity = study.model.fidelity
-    if fidelity not in ("massless", "linear"):
-        fidelity = "full"
     announce_compilation()
     try:
         course = trace(
             scene,
             0,
-            fidelity=fidelity,
+            fidelity=study.model.fidelity,
             tolerance=min(study.model.tolerance, 1e-8),
             points=points,
         )
@@ -151,8 +148,7 @@ def history_rows(course: Course) -> Iterator[tuple[str, str]]:
                 span = f"{_when(waves.begin)} to {_when(waves.end)}"
                 text = f"{waves.first} and {waves.second}, {span}"
                 yield f"waves overlap at the gauge {record.name}", text
-    paper = (PaperRow(**line._asdict()) for line in paper_lines(study))
-    for name, printed, corrected, note in paper_rows(paper):
+    for name, printed, corrected, note in paper_rows(paper_of(study)):
         yield f"paper: {name}", f"printed {printed}, corrected {corrected} ({note})"
     yield "end of the evaluation window", _when(course.record_end)
     yield "end of the time series", _when(course.horizon)

@@ -469,15 +469,15 @@ def _pulse(draft: Draft) -> Faults:
             )
         raise Fault(why, place)
     lasts = scene.pulse.end[0]
-    trip = scene.round_trips[0, 0]
-    if scene.reflections[0, 0] != 0.0 and lasts > trip * (1.0 + 1e-9):
+    echo = scene.echoes[0, 0]
+    if lasts > echo * (1.0 + 1e-9):
         place = "striker.length"
         if "pulse.duration" in draft.numbers:
             place = "pulse.duration"
         place = {"step": "pulse.shape", "measured": "pulse.file"}.get(shape, place)
         raise Fault(
             f"the pulse lasts {format_value(lasts, 'pulse.duration')}, longer than the round trip "
-            f"of {format_value(trip, 'pulse.duration')} in the incident bar, whose far end cannot "
+            f"of {format_value(echo, 'pulse.duration')} in the incident bar, whose far end cannot "
             "reflect while the striker touches it. Shorten the pulse, "
             'lengthen the bar, or set incident_end = "absorbing"',
             place,

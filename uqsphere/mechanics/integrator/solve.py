@@ -115,6 +115,10 @@ class Motion:
         """Velocity reflection coefficient of a bar's far end; 0 if nothing comes back."""
         return float(self.scene.reflections[self.row, bar])
 
+    def echo(self, bar: int) -> float:
+        """Round trip of a bar whose far end sends a wave back [s]; else infinite."""
+        return float(self.scene.echoes[self.row, bar])
+
     def _at(self, series: Array, times: Array) -> Array:
         """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first
         touch.
@@ -174,7 +178,6 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
     scales = scene.scales.at(rows)
     time = scales.time
     pulse = scene.pulse
-    echoing = scene.reflections[rows] != 0.0
     powers = time[:, None] ** np.arange(4)
     poles = np.zeros((len(rows), 2), tracked.POLE)
     poles["stiffness"] = 1.0
@@ -197,7 +200,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
     return Rows(
         mass=scales.mass_number,
         ends=scene.reflections[rows],
-        round_trips=np.where(echoing, scene.round_trips[rows] / time[:, None], np.inf),
+        round_trips=scene.echoes[rows] / time[:, None],
         breaks=pulse.breaks[rows] / time[:, None],
         coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
         frequencies=pulse.frequency[rows] * time,
