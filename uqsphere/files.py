@@ -17,8 +17,8 @@ class TooLarge(UsageError):
 
 
 def packaged(file: str) -> Json:
-    """The content of a TOML file beside this one."""
-    return tomllib.loads(Path(__file__).with_name(file).read_text("utf-8"))
+    """The content of a TOML file of this package, by its path in it."""
+    return tomllib.loads(Path(__file__).parent.joinpath(file).read_text("utf-8"))
 
 
 def read_given(path: Path, largest: int) -> bytes:

@@ -56,7 +56,7 @@ def pulse_stress(speed: Values, E: Values, density: Values) -> Values:
 
 
 #: wave numbers over 1/radius of the table: dense at first, where records have their energy
-_TABLE = np.concatenate([np.linspace(0.0, 4.0, 401)[1:], np.linspace(4.0, 14.0, 401)[1:]])
+_TABLE = np.concatenate([np.linspace(0.0, 4.0, 401), np.linspace(4.0, 14.0, 401)[1:]])
 #: phase speeds over c0 between which the lowest root is looked for, from below Rayleigh's speed at
 #: nu = 0.5 (0.55) to above the bar's, and the steps of the search
 _SLOWEST, _FASTEST, _SCAN = 0.35, 1.02, 600
@@ -185,10 +185,10 @@ def first_mode(nu: float) -> FirstMode:
     frequency = _TABLE * speed
     good = (frequency < _second_mode(nu)) & (factor < _MOST_GAIN) & (factor >= 1.0 / _MOST_GAIN)
     # the tables end where the factor leaves its range, before the pole behind it
-    kept = slice(0, max(np.logical_and.accumulate(good).sum(), 8))
+    kept = slice(0, max(np.logical_and.accumulate(good).sum(), 9))
     return FirstMode(
-        frequency=np.concatenate([[0.0], frequency[kept]]),
-        wave_number=np.concatenate([[0.0], _TABLE[kept]]),
+        frequency=frequency[kept],
+        wave_number=_TABLE[kept],
         band=float(frequency[kept][-1]),
     )
 

@@ -13,7 +13,7 @@ energy balance.  Equation numbers (R...) refer to docs/theory.md.
 import math
 from collections.abc import Collection
 from functools import cache
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
@@ -170,8 +170,7 @@ def _impact_table() -> Array:
     """Coefficients of `_COLUMNS` over lam in [0, 3] as Chebyshev series, (k, 4); force and times in
     units of (R13).
     """
-    with resources.files("uqsphere.mechanics").joinpath("impact_table.csv").open() as lines:
-        return np.loadtxt(lines, delimiter=",", skiprows=1)
+    return np.loadtxt(Path(__file__).with_name("impact_table.csv"), delimiter=",", skiprows=1)
 
 
 def elastic_impact(lam: Values) -> ColumnMap:

@@ -70,9 +70,7 @@ class Criterion(Quantity):
 
 
 #: every criterion by name
-CRITERIA = {
-    name: Criterion(name=name, **entry) for name, entry in declared("criteria.toml").items()
-}
+CRITERIA = declared("criteria.toml", Criterion)
 
 
 def _demand_quantity(entry: Criterion) -> Quantity:

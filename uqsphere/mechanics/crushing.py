@@ -29,9 +29,11 @@ def value_at(
     sphere: ColumnMap,
     radius: Array,
     platens: Duo,
-    rate: Array | None = None,
+    rate: Values = 0.0,
 ) -> Array:
-    """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s]."""
+    """Demand (n,) in spheres of a radius (n,) [m] under a force (n,) [N] at a rate [N/s], (n,)
+    or one.
+    """
     own = {key: np.broadcast_to(value, radius.shape) for key, value in sphere.items()}
     modulus = contact.reduced_modulus(own["E"], own["nu"], *platens)
     beta = contact.hertz_constant(modulus, radius)
@@ -71,7 +73,7 @@ def value_at(
             "energy_sphere": share * stored + lost,
             "impact_energy": stored,
             "energy": energy,
-            "loading_rate": np.zeros_like(radius) if rate is None else rate,
+            "loading_rate": np.broadcast_to(rate, radius.shape),
         }
     )
     if isinstance(of, str):

@@ -318,9 +318,8 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
         echo = motion.echo(number)
         count = int(min(motion.horizon / echo, 16.0))
         jumps = pulse_kinks(motion, [0.0, *(echo * np.arange(1, 1 + count))])
-    jumps = np.unique(np.concatenate([jumps - delay, jumps + delay]))
-    jumps = jumps[(jumps > begin) & (jumps < end)]
-    times, sides = with_jumps(np.linspace(begin, end, points), jumps)
+    passing = np.concatenate([jumps - delay, jumps + delay])
+    times, sides = with_jumps(np.linspace(begin, end, points), passing)
     return GaugeRecord(
         bar,
         position,
@@ -344,11 +343,14 @@ def pulse_kinks(motion: Motion, delays: Values) -> Array:
 
 
 def with_jumps(smooth: Array, jumps: Array) -> Pair:
-    """Sorted instants with jumps twice, and sides: -1 at the first instant of a jump, else 1."""
-    times = np.concatenate([smooth, jumps, jumps])
-    sides = np.repeat([1.0, -1.0, 1.0], [len(smooth), len(jumps), len(jumps)])
-    order = np.lexsort((sides, times))
-    return times[order], sides[order]
+    """Sorted instants, with the jumps between them twice, and sides: -1 at the first instant of a
+    jump, else 1.
+    """
+    jumps = np.unique(jumps)
+    jumps = jumps[(jumps > smooth.min()) & (jumps < smooth.max())]
+    times = np.sort(np.concatenate([np.union1d(smooth, jumps), jumps]))
+    before = np.append(times[1:] == times[:-1], False)
+    return times, np.where(before, -1.0, 1.0)
 
 
 def default_positions(motion: Motion) -> tuple[tuple[str, float], ...]:

@@ -257,14 +257,11 @@ def _pressed(course: Motion, states: Array, forces: Array) -> Pair:
 
 def _instants(course: Motion, points: int, events: Sequence[float]) -> Pair:
     """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
-    horizon = course.horizon
-    smooth = np.concatenate([np.linspace(0.0, horizon, points), events])
     jumps = np.zeros(0)
     if course.scene.by_wave:
         # the first reflection of each bar; later ones are left to the grid
-        jumps = np.unique(pulse_kinks(course, [0.0, course.echo(0), course.echo(1)]))
-        jumps = jumps[(jumps > 0.0) & (jumps < horizon)]
-    return with_jumps(np.setdiff1d(smooth, jumps), jumps)
+        jumps = pulse_kinks(course, [0.0, course.echo(0), course.echo(1)])
+    return with_jumps(np.concatenate([np.linspace(0.0, course.horizon, points), events]), jumps)
 
 
 # --- events ---------------------------------------------------------------------------------------

@@ -2,21 +2,25 @@
 and the reader of such files.
 """
 
-import tomllib
-from importlib import resources
-from typing import Any
+from collections.abc import Callable
+from typing import TypeVar
 
+from uqsphere.files import packaged
 from uqsphere.units import Quantity
 
+Entry = TypeVar("Entry")
 
-def declared(file: str) -> dict[str, dict[str, Any]]:
-    """Entries of a TOML file of this package by their names; lists become tuples."""
-    text = resources.files("uqsphere.mechanics").joinpath(file).read_text(encoding="utf-8")
-    entries = tomllib.loads(text)
-    for entry in entries.values():
-        entry |= {key: tuple(cell) for key, cell in entry.items() if isinstance(cell, list)}
+
+def declared(file: str, kind: Callable[..., Entry]) -> dict[str, Entry]:
+    """Entries of a TOML file of mechanics by their names, each made a `kind` with its fields; lists
+    become tuples.  The name of an entry is that of its table unless it has another.
+    """
+    entries = {}
+    for name, fields in packaged(f"mechanics/{file}").items():
+        tuples = {key: tuple(cell) for key, cell in fields.items() if isinstance(cell, list)}
+        entries[name] = kind(**{"name": name, **fields, **tuples})
     return entries
 
 
 #: every number of a scene, fixed or random, by its dotted path in the study file
-INPUTS = {name: Quantity(name=name, **entry) for name, entry in declared("inputs.toml").items()}
+INPUTS = declared("inputs.toml", Quantity)

@@ -32,7 +32,7 @@ _PULSE = 3.80584
 #: quantities that are the demand of a criterion, by their names
 _DEMAND_OF = {entry.quantity: entry for entry in CRITERIA.values() if entry.quantity}
 #: every quantity of interest of the impact model
-OUTPUTS = {name: Quantity(name=name, **entry) for name, entry in declared("outputs.toml").items()}
+OUTPUTS = declared("outputs.toml", Quantity)
 OUTPUTS |= {
     name: replace(entry, name=name, meaning=entry.measures)
     for name, entry in _DEMAND_OF.items()

@@ -43,8 +43,7 @@ def load_table(name: str) -> Array:
     >>> load_table("shear").ndim
     2
     """
-    with (Path(__file__).with_name("stress_tables.json")).open(encoding="utf-8") as file:
-        entry = json.load(file)[name]
+    entry = json.loads(Path(__file__).with_name("stress_tables.json").read_text("utf-8"))[name]
     coefficients = np.zeros(entry["shape"])
     # whole numbers of `unit`; they fall off towards the end of every row, and what is not written
     # is zero

@@ -36,7 +36,6 @@ _FAR = 0.9
 class Rule:
     """One check: thresholds of its grades 1, 2, 3 and its sentence; fields as in validity.toml."""
 
-    key: str
     name: str
     words: str
     information: float = nan
@@ -63,10 +62,8 @@ class Rule:
         )
 
 
-RULES = {
-    key: Rule(**{"key": key, "name": key, **entry})
-    for key, entry in declared("validity.toml").items()
-}
+#: every check by its key; two with one name are one to the reader, in different rigs
+RULES = declared("validity.toml", Rule)
 
 
 @frozen
@@ -390,7 +387,10 @@ def check_validity(
     for key, rule in RULES.items():
         measured = getattr(measures, key)() if rule.applies(scene) else None
         if measured is not None:
-            checks.append(_check(rule, measures, np.asarray(measured)))
+            check = _check(rule, measures, np.asarray(measured))
+            if check.text and key in ADVICE:
+                check = replace(check, text=check.text + ADVICE[key](measures))
+            checks.append(check)
     return checks + _check_ranges(measures, quantities)
 
 
@@ -414,8 +414,6 @@ def _check(rule: Rule, measures: Measures, measured: Array) -> ValidityCheck:
         limit = f"{rule.thresholds[grade - 1]:.3g}"
         words = rule.words.format(worst=shown, limit=limit, shape=measures.scene.shape)
         text = f"{_rows_text(shares[grade - 1])}: {words.replace(') (limit', '; limit')}"
-        if rule.key in ADVICE:
-            text += ADVICE[rule.key](measures)
     return ValidityCheck(
         check=rule.name,
         shares=tuple(shares.tolist()),
@@ -479,7 +477,6 @@ def _check_range(
     if "equal forces" in criterion.range_text:
         consequence = "the value at the table edge is used"
     rule = Rule(
-        key="range",
         name=f"range_of_{quantity}",
         words=f"{criterion.name} is outside its range ({criterion.range_text}), "
         f"{', '.join(outside)}; {consequence}",
