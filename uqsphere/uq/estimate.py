@@ -299,10 +299,8 @@ def count_bound(others: float, met: float = 0.0) -> float:
     their number: the one-sided 95 % bound (C. J. Clopper, E. S. Pearson, Biometrika 26, 1934, 404).
 
     >>> round(count_bound(200), 4), round(count_bound(190, 10), 4)
-    (0.0149, 0.0835)
+    (0.0149, 0.0833)
     """
-    if not met:
-        return -math.expm1(math.log(LEFT_OUT) / others)
     return float(special.betaincinv(met + 1.0, max(others, 1e-9), LEVEL))
 
 
