@@ -37,8 +37,12 @@ OF_ANSWERED = "of the model runs that answered"
 #: answers whose ends can allow for model runs that failed, whatever these would have been: they are
 #: probabilities, or are read off those
 OF_ALL = {
-    *(Kind.EXCEEDANCE_PROBABILITY, Kind.FAILURE_PROBABILITY, Kind.RELIABILITY_INDEX),
-    *(Kind.QUANTILE, Kind.CURVE, Kind.MARGIN),
+    Kind.EXCEEDANCE_PROBABILITY,
+    Kind.FAILURE_PROBABILITY,
+    Kind.RELIABILITY_INDEX,
+    Kind.QUANTILE,
+    Kind.CURVE,
+    Kind.MARGIN,
 }
 
 
@@ -313,7 +317,7 @@ class Slow(Tables):
         """The share of the model runs that failed."""
         failed = self.dropped + int(self.rows.failed.sum())
         total = self.dropped + self.rows.size
-        if self.compared is not None and self.line:
+        if self.compared and self.line:
             failed += self.compared.failed
             total += self.compared.failed + self.compared.sample.count
         return failed / total
@@ -321,7 +325,7 @@ class Slow(Tables):
     def noted(self, answer: Kind) -> str:
         """What an answer is of where model runs failed."""
         note = super().noted(answer)
-        if note and self.predicted is not None:
+        if note and self.predicted:
             note += ", extrapolated for the others"
         return note
 
