@@ -24,7 +24,17 @@ from uqsphere.arrays import Array, Duo, Flags, Pair, as_numbers, bundle, frozen,
 
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
-from .forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, Function, LawError, bandwidth
+from .forms import (
+    GAUSS,
+    MOST_KERNELS,
+    SMALLEST,
+    WEIBULL,
+    Form,
+    Function,
+    LawError,
+    bandwidth,
+    tails_at,
+)
 from .law import Law, bounds_of
 
 #: tests of one sample
@@ -126,10 +136,7 @@ class LocationScale:
         stopped tests and with tests stopped at the r-th failure.
         """
         steps = generator.standard_exponential((count, leaving.size)) / _at_risk(leaving)
-        return self._of_hazard(np.cumsum(steps, axis=1))
-
-    def _of_hazard(self, hazards: Array) -> Array:
-        return self.form.quantile(-np.expm1(-hazards), np.exp(-hazards))
+        return self.form.quantile(*tails_at(np.cumsum(steps, axis=1)))
 
     def fit(self, series: Array, leaving: Array) -> Pair:
         """Location and scale (rows,) of the largest likelihood of such series (rows, r)."""
@@ -157,7 +164,7 @@ class LocationScale:
             order = np.argsort(z * inverse - centre)[FINER // 2 :: FINER]
             return centre[order], inverse[order]
         if leaving.size > MANY:
-            z = self._of_hazard(np.cumsum(1.0 / _at_risk(leaving)))
+            z = self.form.quantile(*tails_at(np.cumsum(1.0 / _at_risk(leaving))))
             second = self.terms(z, np.ones(z.size), leaving - 1.0)[2]
             mixed = second @ z
             covariance = np.linalg.inv([[z.size - second @ (z * z), mixed], [mixed, -second.sum()]])

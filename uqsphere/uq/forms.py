@@ -160,10 +160,15 @@ def symmetric(cdf: Function, ppf: Function, pdf: Function, order: float = inf) -
     )
 
 
+def tails_at(hazard: Array) -> Tails:
+    """Both tails at cumulative hazards of any shape."""
+    return -np.expm1(-hazard), np.exp(-hazard)
+
+
 def by_hazard(hazard: Function, inverse: Function, log_rate: Function) -> Form:
     """P(Y > y) = exp(-H(y)) of a hazard H; `log_rate`: ln |dH/dy|, nan off the law."""
     return Form(
-        tails=lambda y: (-np.expm1(-hazard(y)), np.exp(-hazard(y))),
+        tails=lambda y: tails_at(hazard(y)),
         quantile=lambda p, q: inverse(np.where(p <= 0.5, -np.log1p(-p), -np.log(q))),
         pdf=lambda y: np.exp(log_rate(y) - hazard(y)),
     )
