@@ -351,7 +351,8 @@ def _library(judged: Judged) -> LibraryRange | None:
     """
     settled = judged.settled
     aim = judged.aim
-    governs = settled.governing.code == "assumed strength"
+    governing = settled.governing
+    governs = governing.code == "assumed strength"
     if judged.line is None or not aim.modes or (settled.number is None and not governs):
         return None
 
@@ -360,10 +361,8 @@ def _library(judged: Judged) -> LibraryRange | None:
         curve = settled.by_strengths(mode.limit, [mode.weak])[0, 0].mean(axis=1)
         return settled.line.at(curve, settled.weighed_at)
 
-    mode = max(aim.modes, key=failures)
-    for other in aim.modes:
-        if other.limit.name == settled.governing.limit.name:
-            mode = other
+    named = [mode for mode in aim.modes if mode.limit.name == governing.limit.name]
+    mode = max(named or aim.modes, key=failures)
     rest = aim.without(mode.limit.name)
 
     def number(law: Law) -> float | None:
