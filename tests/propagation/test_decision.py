@@ -539,7 +539,7 @@ def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
     limit = SimpleNamespace(name="whole", has_target=True, target=0.1)
     missed = Estimate(value=0.5, low=0.4, high=0.6, method="", evaluations=1)
     judged: Any = SimpleNamespace(
-        aim=SimpleNamespace(limits=[limit]),
+        aim=SimpleNamespace(limits=[limit], has_target=True),
         plan=SimpleNamespace(doubts=[SimpleNamespace(limit=limit)]),
         all_modes={"whole": missed},
     )

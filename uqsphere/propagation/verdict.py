@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -627,19 +628,19 @@ def by_own_limits(judged: Sequence[Judged]) -> dict[frozenset[str], Estimate]:
     return joint
 
 
-def decision_answers(design: Design, decisions: Sequence[Decision]) -> Rows:
+def decision_answers(tables: Tables, decisions: Sequence[Decision]) -> Rows:
     """Of every decision, the failure probability at the plan, the number to use and the safety
     factor of the number as people read it.
     """
     for decision in decisions:
-        subject = f"decision.{decision.aim}"
+        row = partial(number_row, f"decision.{decision.aim}", runs=tables.runs)
         p = decision.all_modes or decision.probability
-        yield number_row(subject, "failure_probability", "", p.value, p.low, p.high, note=p.note)
+        yield row("failure_probability", "", p.value, p.low, p.high, note=p.note)
         use = decision.use
         if use is not None:
-            unit = lookup(design.free_quantity).unit
-            yield number_row(subject, "number_to_use", use.path, use.value, unit=unit)
-            yield number_row(subject, "safety_factor", use.path, use.safety_factor)
+            unit = lookup(tables.design.free_quantity).unit
+            yield row("number_to_use", use.path, use.value, unit=unit)
+            yield row("safety_factor", use.path, use.safety_factor)
 
 
 _TEXTS = {
