@@ -36,10 +36,6 @@ Task = tuple[Any, Names, Names]
 Timed = tuple[Array, float]
 #: calls that an executor of the user is given at once, about
 _MANY = 512
-#: what a process runs: modules are found where this process finds them, not in its working folder
-_PROGRAM = (
-    "import sys; sys.path[:] = {path!r}; from uqsphere.models.workers import serve; serve({parent})"
-)
 
 
 def answer(task: Task | bytes, rows: Array) -> Timed:
@@ -171,8 +167,11 @@ class _Process:
 
     def __init__(self, packed: bytes) -> None:
         self.packed = packed
-        program = _PROGRAM.format(
-            path=[entry or os.getcwd() for entry in sys.path], parent=os.getpid()
+        # modules are found where this process finds them, not in its working folder
+        path = [entry or os.getcwd() for entry in sys.path]
+        program = (
+            f"import sys; sys.path[:] = {path!r}; from uqsphere.models.workers import serve; "
+            f"serve({os.getpid()})"
         )
         self._process: Any = subprocess.Popen(
             [sys.executable, "-c", program],
