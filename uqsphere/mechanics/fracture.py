@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Places, Values, quiet
+from uqsphere.arrays import Array, Places, quiet
 
 from .criteria import CRITERIA, Demands, Parameters, demand
 from .integrator.solve import Motion, motions
@@ -149,10 +149,10 @@ class _Course(NamedTuple):
     """One row's motion in scaled variables.
 
     start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
-    m,): of the nodes, which divide every step into 16 parts.  force, energy (16 m,): peak force and
-    peak energy so far.  forces (m, 2, 17): coefficients of the drive: the approach, whose 3/2 power
-    is the Hertz force, or the force itself for contacts that yield or differ.  deepest (1 + 16 m,
-    2): peak approaches before each node, and in the end.
+    m,): of the nodes, which divide every step into 16 parts.  peaks: peak `force` and peak `energy`
+    so far, (16 m,) each.  forces (m, 2, 17): coefficients of the drive: the approach, whose 3/2
+    power is the Hertz force, or the force itself for contacts that yield or differ.  deepest (1 +
+    16 m, 2): peak approaches before each node, and in the end.
     """
 
     start: Array
@@ -160,8 +160,7 @@ class _Course(NamedTuple):
     states: Array
     forces: Array
     times: Array
-    force: Array
-    energy: Array
+    peaks: dict[str, Array]
     deepest: Array
 
 
@@ -182,36 +181,33 @@ def _course(motion: Motion) -> _Course:
         for series in (states, forces)
     )
     deepest = np.maximum.accumulate(approach, axis=0)
-    row = np.array([motion.row])
+    loads = _loads(motion.scene, np.array([motion.row]), drive, approach, deepest)
     return _Course(
         start=start,
         length=length,
         states=states,
         forces=forces,
         times=(start[:, None] + length[:, None] * _SHARES).ravel(),
-        force=np.maximum.accumulate(_larger_force(motion.scene, drive)),
-        energy=np.maximum.accumulate(_stored(motion.scene, row, drive, approach, deepest)),
+        peaks={name: np.maximum.accumulate(load) for name, load in loads.items()},
         deepest=np.vstack([np.zeros(2), deepest]),
     )
 
 
-def _larger_force(scene: Scene, drive: Array) -> Values:
-    """The larger contact force over P_c, (n,), of the drives of both contacts, (n, 2)."""
-    largest = drive.max(axis=1)
-    if scene.by_hertz:
-        return largest**1.5
-    return largest
-
-
 @quiet
-def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: Array) -> Values:
-    """Energy of both contacts in scaled variables, (...) of rows (...).
+def _loads(
+    scene: Scene, rows: Places, drive: Array, approach: Array, deepest: Array
+) -> dict[str, Array]:
+    """Larger contact force and energy of both contacts in scaled variables, (...) of rows (...);
+    drive, approach, deepest: of both contacts (..., 2), see `_Course`.
 
-    It is (2/5) sum x^(5/2), theory (18), or (2/5) q (x - x_r), (C10), if contacts yield or differ.
+    The energy is (2/5) sum x^(5/2), theory (18), or (2/5) q (x - x_r), (C10), if contacts yield or
+    differ.
     """
+    largest = drive.max(axis=-1)
     if scene.by_hertz:
-        return 0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1)
-    total = np.zeros(push.shape[:-1])
+        energy = 0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1)
+        return {"force": largest**1.5, "energy": energy}
+    energy = np.zeros_like(largest)
     unit = scene.scales.approach[rows]
     for pole, partner in enumerate(scene.partners):
         if partner is None:
@@ -219,11 +215,11 @@ def _stored(scene: Scene, rows: Places, push: Array, approach: Array, deepest: A
         above = approach[..., pole]
         if partner.face is not None:
             face = partner.face.at(rows)
-            largest = deepest[..., pole] * unit / face.onset_approach
-            dent = (largest - face.recovery(largest)) * face.onset_approach / unit
-            above = above - np.where(largest > 1.0, dent, 0.0)
-        total = total + 0.4 * push[..., pole] * np.maximum(above, 0.0)
-    return total
+            depth = deepest[..., pole] * unit / face.onset_approach
+            dent = (depth - face.recovery(depth)) * face.onset_approach / unit
+            above = above - np.where(depth > 1.0, dent, 0.0)
+        energy = energy + 0.4 * drive[..., pole] * np.maximum(above, 0.0)
+    return {"force": largest, "energy": energy}
 
 
 def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Array) -> Array:
@@ -258,7 +254,7 @@ def _cross(
     time = scales.time[rows]
     force = scales.force[rows]
     units = {"force": force, "energy": force * scales.approach[rows]}
-    peaks = [getattr(course, path.over) for course in courses]
+    peaks = [course.peaks[path.over] for course in courses]
     if path.early:
         echoes = zip(peaks, courses, scene.first_echo[rows] / time, strict=True)
         peaks = [peak[: max(np.searchsorted(c.times, echo), 1)] for peak, c, echo in echoes]
@@ -280,8 +276,7 @@ def _cross(
             np.maximum(polyval(share[:, None], series, tensor=False), 0.0)
             for series in (states, forces)
         )
-        energy = _stored(scene, rows, drive, approach, np.maximum(before, approach))
-        return {"force": _larger_force(scene, drive), "energy": energy}
+        return _loads(scene, rows, drive, approach, np.maximum(before, approach))
 
     high = _SHARES[at % ORDER]
     _, high = bisect(
