@@ -155,7 +155,7 @@ def _approaches(scene: Scene, alpha: float, duration: float) -> list[PaperValue]
     """Approaches at single instants, and the plateau of the linear contact."""
     scales = scene.scales.at(0)
     time = scales.time
-    theta = scales.duration / time
+    theta = scales.pulse_number
     impedance = scales.impedance
     beta = scales.hertz_constant
     course = motion(scene, 0, tolerance=_TOLERANCE)

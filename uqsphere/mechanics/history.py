@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -180,9 +180,13 @@ def trace(
         record_end = float(np.fmin(answers.record[0], course.horizon))
     first = largest(course, 0.0, record_end)
     later = largest(course, record_end, course.horizon)
-    times, sides = _instants(
-        course, points, [event.time for event in (*changes, first, later) if event is not None]
-    )
+    events = [event.time for event in (*changes, first, later) if event is not None]
+    jumps = np.zeros(0)
+    if scene.by_wave:
+        # the first reflection of each bar; later ones are left to the grid
+        jumps = pulse_kinks(course, [0.0, course.echo(0), course.echo(1)])
+    grid = np.linspace(0.0, course.horizon, points)
+    times, sides = with_jumps(np.concatenate([grid, events]), jumps)
     states = course.states_at(times)
     forces = course.forces_at(times).T
     approaches, pressures = _pressed(course, states, forces)
@@ -235,7 +239,7 @@ def _pressed(course: Motion, states: Array, forces: Array) -> Pair:
             continue
         force = forces[pole]
         gap = gaps[pole]
-        if course.forces is None or partner.face is None or not partner.face.own[row]:
+        if partner.face is None or not partner.face.own[row]:
             radii[pole] = contact.contact_radius(gap, partner.effective_radius[row])
             continue
         law = partner.face.at(row)
@@ -253,15 +257,6 @@ def _pressed(course: Motion, states: Array, forces: Array) -> Pair:
         area = np.pi * np.square(radii)
         return approaches, np.divide(forces, area, out=np.zeros_like(area), where=area > 0.0)
     return gaps, np.stack([course.pressure_at(force, pole) for pole, force in enumerate(forces)])
-
-
-def _instants(course: Motion, points: int, events: Sequence[float]) -> Pair:
-    """Sorted grid and events, and sides: -1 at the first instant of a jump, else 1."""
-    jumps = np.zeros(0)
-    if course.scene.by_wave:
-        # the first reflection of each bar; later ones are left to the grid
-        jumps = pulse_kinks(course, [0.0, course.echo(0), course.echo(1)])
-    return with_jumps(np.concatenate([np.linspace(0.0, course.horizon, points), events]), jumps)
 
 
 # --- events ---------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from uqsphere.mechanics.fracture import Fractures, first_fractures, path_of
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import SceneAnswers, absent_in, merged_answers
 from uqsphere.mechanics.rigs import law_of
-from uqsphere.mechanics.scene import STATUS, Scene, answered
+from uqsphere.mechanics.scene import STATUS, Scene
 from uqsphere.mechanics.validity import ValidityCheck, check_validity
 from uqsphere.quantities import INPUTS, format_value
 from uqsphere.study import Study
@@ -126,9 +126,8 @@ def evaluate_scene(
         )
     except ValueError as error:
         raise UsageError(str(error)) from error
-    good = answered(answers.status)
     none = np.zeros(len(rows), bool)
-    failed = np.flatnonzero(~good)[:1]
+    failed = np.flatnonzero(answers.status)[:1]
     return EvaluatedRows(
         values=np.column_stack([answers.values[name] for name in columns]),
         censored=np.column_stack([answers.censored.get(name, none) for name in columns]),
