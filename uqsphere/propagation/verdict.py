@@ -635,7 +635,7 @@ def decision_answers(tables: Tables, decisions: Sequence[Decision]) -> Rows:
     for decision in decisions:
         row = partial(number_row, f"decision.{decision.aim}", runs=tables.runs)
         p = decision.all_modes or decision.probability
-        yield row("failure_probability", "", p.value, p.low, p.high, note=p.note)
+        yield row("failure_probability", "together", p.value, p.low, p.high, note=p.note)
         use = decision.use
         if use is not None:
             unit = lookup(tables.design.free_quantity).unit

@@ -117,7 +117,8 @@ def comparison_text(runs: Sequence[Run], names: Names) -> str:
         row
         for row in changes
         # a limit's failure probability is that of exceedance, or its complement
-        if abs(row.change) > WORTH and (row.answer, row.at) != (Kind.FAILURE_PROBABILITY, "")
+        if abs(row.change) > WORTH
+        and (row.answer != Kind.FAILURE_PROBABILITY or row.at not in ("", "together"))
     ]
     sure = [row for row in moved if row.significant]
     if sure:

@@ -87,7 +87,7 @@ class Kind(StrEnum):
         "failure_probability",
         "limit",
         "failure probability: of exceedance for the aim survive, of its complement for break",
-        "empty, or what is assumed otherwise",
+        "empty, what is assumed otherwise, or of a decision: together",
         "1",
     )
     RELIABILITY_INDEX = (
