@@ -231,21 +231,10 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
         width_digits = 1 - _power(100.0 * (high - low))
         decimals = max(min(value_digits, width_digits), 0)
     texts = (_percent(number, decimals=decimals) for number in (value, low, high))
-    return _with_ends(*texts).replace(" % to", " to")
+    return with_ends(*texts).replace(" % to", " to")
 
 
-def format_index(value: float, low: float | None = None, high: float | None = None) -> str:
-    """Text of a Sobol' index with its interval, to three decimals.
-
-    >>> format_index(0.98412, 0.981, 0.987), format_index(4e-5, 0.0, 9e-5)
-    ('0.984 (0.981 to 0.987)', '0.000')
-    """
-    first = value if low is None else low
-    last = value if high is None else high
-    return _with_ends(*(f"{number:.3f}" for number in (value, first, last)))
-
-
-def _with_ends(text: str, low: str, high: str) -> str:
+def with_ends(text: str, low: str, high: str) -> str:
     """A number with the ends of its interval, where they differ from it."""
     if text == low == high:
         return text
@@ -284,7 +273,7 @@ def format_estimate(
             # + 0.0: what rounds to zero has no sign
             scaled = [round(number, decimals) + 0.0 for number in scaled]
     texts = (f"{number:{spec}}" for number in scaled)
-    return f"{_with_ends(*texts)} {unit}".rstrip()
+    return f"{with_ends(*texts)} {unit}".rstrip()
 
 
 def _decimals(value: float, low: float, high: float) -> int:

@@ -335,7 +335,7 @@ class Table:
         unit_key = _UNIT_KEYS.get(key, "units")
         in_heading = unit_in_heading(heading, dimension)[1]
         bracket = _BRACKET.search(heading)
-        other = bracket is not None and bracket[1] in _ALL_UNITS - {"", "-"}
+        other = bracket and bracket[1] in _ALL_UNITS - {"", "-"}
         if not in_heading and (other or not unit):
             wrong = _unknown_unit(heading, dimension)
             if wrong:

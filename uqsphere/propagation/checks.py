@@ -5,6 +5,7 @@ answers, and the caveats that hold a verdict at "not established".
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
@@ -30,7 +31,6 @@ ROWS = 512
 REACH = (0.01, 0.5)
 #: what a loss of contact that comes a swing sooner or later changes
 _TIMES = {"time_to_first_loss", "contact_duration", "force_imbalance"}
-GRADES: tuple[Grade, ...] = ("ok", "note", "warning", "failure")
 
 
 class Check(CheckEntry):
@@ -73,7 +73,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             effect = (
                 "intervals widened; mean, standard deviation and indices are of those that answered"
             )
-        if isinstance(tables, Slow) and tables.predicted is not None:
+        if isinstance(tables, Slow) and tables.predicted:
             effect = "in their place stand predictions from the runs that did not"
         yield Check(
             name="failed_rows",
@@ -83,7 +83,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             effect=f"{effect}; verdict and number to use hold whatever they would have been",
         )
     margins = design.study.moving
-    if margins is not None and tables.line:
+    if margins and tables.line:
         low, *_, high = tables.line
         if not np.allclose((low, high), margins.between, rtol=1e-9):
             first, last = format_together((low, high), design.free_quantity)
@@ -100,7 +100,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             text=f"answers rest on {n} model runs: an event rarer than about 3/{n} is not in them",
             effect=f"failure probabilities below {count_bound(n):.2g} are bounds",
         )
-        if margins is not None and not tables.line:
+        if margins and not tables.line:
             yield Check(
                 name="no_margin",
                 grade="note",
@@ -130,7 +130,7 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
                 name=result.check,
                 text=result.text,
                 share=result.share,
-                grade=GRADES[result.grade],
+                grade=get_args(Grade)[result.grade],
                 failures={
                     name: np.average(beyond, weights=weight)
                     for name, weight in weights.items()
@@ -214,7 +214,7 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
     for limit in settled.aim.limits:
         tested = limit.tested
-        if tested is not None and tested.beyond(diameter) > FARTHEST_SIZE:
+        if tested and tested.beyond(diameter) > FARTHEST_SIZE:
             sizes = tested.diameters or (tested.diameter,)
             yield Caveat(
                 code="size",
@@ -250,7 +250,7 @@ def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     if settled.use is not None and not study.black_box:
         nearest = line.values[np.argmin(np.abs(line.places - line.place_of(settled.use)))]
         under = replace(line, samples={nearest: line.few.samples[nearest]})
-        if settled.aim.yielding is not None:
+        if settled.aim.yielding:
             under = settled.aim.yielding.along(under) or under
         yields: Sequence[str] = ()
         if under.design.study.options.get("contact.law", "hertz") == "hertz":

@@ -93,24 +93,24 @@ def failure_modes_of(study: Study) -> tuple[list[AssumedMode], dict[str, str]]:
         if reason:
             not_judged[mode.name] = f"no strength: {reason}"
         else:
-            assert material is not None
+            assert material
             assumed.append(_assumed(study, mode, material))
     return assumed, not_judged
 
 
 def _not_judged(study: Study, mode: FailureMode, material: Material | None) -> str:
     """Why a failure mode is not assessed; empty if it is."""
-    if material is None:
+    if not material:
         return "the study names no material of the library; add a limit with your own strength"
     strength = material.properties.get(mode.strength)
-    if strength is None:
+    if not strength:
         title = f"{material.title[:1].lower()}{material.title[1:]}"
         return f"neither the study nor the library has one for {title}"
     if mode.size_law == "volume" and not (
         "volume" in strength.further and "weibull_modulus" in material.properties
     ):
         return "the library's strength is of no known volume"
-    if strength.range is None and material.rock:
+    if not strength.range and material.rock:
         return "the library gives no range for it"
     # the sphere begins to yield at a pressure of the study or the library
     entry = material.properties.get("onset_pressure")

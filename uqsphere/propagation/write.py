@@ -213,18 +213,18 @@ def _limit(limit: Limit, **origin: Any) -> LimitEntry:
     """A limit with the `origin` of its strength."""
     tested = limit.tested
     platens = ""
-    size_law = []
-    if tested and tested.forces:
-        modulus = tested.platens[0]
-        platens = "rigid platens"
-        if math.isfinite(modulus):
-            platens = f"platens with E = {1e-9 * modulus:.3g} GPa"
     # how the strength of tested spheres follows their size, and the rate of loading
-    if tested and tested.exponent:
-        follows = "force"
-        if not tested.forces:
-            follows = lookup(limit.quantity).called
-        size_law.append(f"{follows} at failure ~ diameter^{tested.exponent:.3g}")
+    size_law = []
+    if tested:
+        follows = lookup(limit.quantity).called
+        if tested.forces:
+            follows = "force"
+            platens = "rigid platens"
+            modulus = tested.platens[0]
+            if math.isfinite(modulus):
+                platens = f"platens with E = {1e-9 * modulus:.3g} GPa"
+        if tested.exponent:
+            size_law.append(f"{follows} at failure ~ diameter^{tested.exponent:.3g}")
     if "rate_0" in limit.parameters:
         size_law.append(f"doubled at a strain rate of {limit.parameters['rate_0']:.3g} 1/s")
     return LimitEntry(
@@ -315,7 +315,7 @@ def _dependence(tie: Dependence) -> DependenceEntry:
 def _input(study: Study, name: str) -> InputEntry:
     law = study.laws().get(name)
     source, checked = study.source_of(name)
-    if law is None:
+    if not law:
         mean = p05 = p95 = study.fixed[name]
         sd = 0.0
         distribution = "fixed"

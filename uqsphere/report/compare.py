@@ -143,7 +143,7 @@ def _decisions(named: Sequence[tuple[str, Run]]) -> Iterator[str]:
         yield f"to {aim}:"
         for name, run in named:
             decision = run.decisions.get(aim)
-            if decision is None:
+            if not decision:
                 yield f"  {name}: no limit"
                 continue
             text = DecisionText(run.results, decision)
@@ -162,12 +162,12 @@ def _settings(named: Sequence[tuple[str, Run]]) -> Iterator[str]:
     for name, run in named[1:]:
         for path, entry in run.results.inputs.items():
             before = named[0][1].results.inputs.get(path)
-            if before is None or (before.mean, before.sd) != (entry.mean, entry.sd):
+            if not before or (before.mean, before.sd) != (entry.mean, entry.sd):
                 yield f"{path}: {_input(before, path)} -> {_input(entry, path)} ({name})"
 
 
 def _input(entry: InputEntry | None, path: str) -> str:
-    if entry is None:
+    if not entry:
         return DASH
     mean = value(entry.mean, path, 4)
     if not entry.sd:
@@ -186,7 +186,7 @@ def _text(row: _Change, runs: Sequence[Run]) -> str:
             text = DASH
         elif row.answer in OF_QUANTITIES:
             text = format_value(x, row.subject)
-        elif row.answer in NUMBERS and free is not None:
+        elif row.answer in NUMBERS and free:
             text = format_value(x, free.quantity)
         elif row.answer in PROBABILITIES:
             text = format_probability(x)

@@ -96,7 +96,7 @@ def svg(
     """
 
     def on_figure(figure: Figure) -> None:
-        if edges is None:
+        if not edges:
             figure.set_layout_engine("constrained")
             draw(figure.add_subplot(), *shown)
         else:
@@ -151,7 +151,7 @@ def _fragility(results: Results) -> dict[str, Picture]:
     """The fragility chart, for a wide screen and for a narrow one; empty for a run without it."""
     free = results.study.free
     curves = curves_of(results)
-    if free is None or not curves:
+    if not free or not curves:
         return {}
     title = chart_title(results)
     texts = [f"{title} over the {free.meaning}"]

@@ -10,12 +10,12 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.quantities import (
     format_estimate,
-    format_index,
     format_probability,
     format_probability_estimate,
     format_together,
     format_value,
     lookup,
+    with_ends,
 )
 from uqsphere.results.types import Answer, Range
 from uqsphere.units import UNITS
@@ -78,10 +78,18 @@ def estimate(row: Estimated, name: str = "", most: int = 4) -> str:
 
 
 def index(row: Estimated) -> str:
-    """A Sobol' index with its interval, to three decimals."""
-    if row.value is None:
+    """A Sobol' index with its interval, to three decimals.
+
+    >>> index(Range(value=0.98412, low=0.981, high=0.987))
+    '0.984 (0.981 to 0.987)'
+    >>> index(Range(value=4e-5, low=0.0, high=9e-5))
+    '0.000'
+    """
+    share = row.value
+    if share is None:
         return DASH
-    return format_index(row.value, row.low, row.high)
+    ends = (share if end is None else end for end in (row.low, row.high))
+    return with_ends(*(f"{number:.3f}" for number in (share, *ends)))
 
 
 def probability(row: Estimated) -> str:

@@ -85,7 +85,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
         if limit in (None, plain_name(subject)) and results.where(subject, Kind.CURVE)
     }
     kept = sorted(at_plan, key=lambda subject: -(at_plan[subject].value or 0.0))[:MOST_CURVES]
-    governing = {decision.governing for decision in results.decisions if decision.use is not None}
+    governing = {decision.governing for decision in results.decisions if decision.use}
     hues = cycle((BLUE, GREEN, PURPLE, BROWN, INDIGO))
     curves = []
     for subject, estimate in at_plan.items():
@@ -124,7 +124,7 @@ def draw_fragility(
     """
     free = results.study.free
     curves = curves_of(results, limit)
-    assert free is not None
+    assert free
     planned = planned_value(free)
     used = [decision for decision in results.decisions if decision.use and limit is None]
     unit, factor = display_unit(free.quantity, planned or free.high)
@@ -243,7 +243,7 @@ def _draw_tests(axes: Axes, results: Results, curves: Sequence[Curve], factor: f
 def _draw_mark(axes: Axes, decision: Decision, factor: float) -> float:
     """Draw a number to use, with the values that are allowed as a bar on the axis; its place."""
     use = decision.use
-    assert use is not None
+    assert use
     p = decision.target or 0.0
     height = special.ndtri(1.0 - p if decision.aim == "break" else p)
     at, bottom, (left, right) = use.value * factor, axes.get_ylim()[0], axes.get_xlim()

@@ -129,7 +129,7 @@ def history_rows(course: Course) -> Iterator[tuple[str, str]]:
     further = len(course.changes) - 6
     if further > 0:
         yield "further changes of contact", str(further)
-    if course.later_peak is not None:
+    if course.later_peak:
         pressure = format_value(course.later_peak.pressure, "p_max", 5)
         text = f"{pressure} at {_when(course.later_peak.time)}"
         yield "largest contact pressure after the evaluation window", text
@@ -140,7 +140,7 @@ def history_rows(course: Course) -> Iterator[tuple[str, str]]:
         for bar in BARS:
             tension = first_tension(course.motion, bar)
             text = "none"
-            if tension is not None:
+            if tension:
                 text = f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
             yield f"first tension in the {bar} bar", text
         for record in course.gauges:

@@ -88,7 +88,7 @@ def render(template: str, **variables: Any) -> str:
 def _cell(text: str) -> Markup:
     """A text of a table; an estimate with its interval below it, both unbroken."""
     parts = re.fullmatch(r"(-?\d\S*(?: %)?) \((-?\d\S* to [^)]+)\)(.*)", text)
-    if parts is not None:
+    if parts:
         stacked = Markup('<span class="v">{}</span><br><small class="v soft">{}</small>')
         return stacked.format(parts[1] + parts[3], parts[2])
     if len(text) < 24:

@@ -84,14 +84,14 @@ class DecisionText:
     def use(self) -> str:
         """The number to use, with its side: "Use at most 0.12 m/s"; or that there is none."""
         free = self._free
-        if self.decision.use is not None and free is not None:
+        if self.decision.use and free:
             text = f"Use {self._allowed(self.decision.use.value)}"
             if free.path == "pulse.gain":
                 return f"{text} times the measured pulse"
             if not free.unit:
                 return f"{text} ({free.meaning})"
             return text
-        if free is None or self.decision.target is None:
+        if not free or self.decision.target is None:
             return f"{capital(self._event)} {self.together}"
         if self._kept_everywhere:
             return f"Use any value between {self._ends}"
@@ -104,23 +104,23 @@ class DecisionText:
         """
         decision = self.decision
         use = decision.use
-        if decision.target is None and use is None:
+        if decision.target is None and not use:
             return "No target is set."
-        if self._free is None:
+        if not self._free:
             return f"{self._target}. Add [margins] for a number to use."
         parts = [self._plan(self._free)]
         used = ""
-        if use is None:
+        if not use:
             parts.insert(0, self._why_none)
         else:
             used = self.number(use.value)
             parts.append(self._governs)
         library = decision.library
-        if library is not None and not self._library_governs and self.number(library.weak) != used:
+        if library and not self._library_governs and self.number(library.weak) != used:
             mode = capital(library.mode)
             parts.append(f"{mode} is assumed{self._library_range}.")
         own = decision.own
-        if own is not None and own.margin is not None and self.number(own.margin) != used:
+        if own and own.margin is not None and self.number(own.margin) != used:
             text = f"By your own limits: {self._allowed(own.margin)}"
             if own.code != "computation":
                 text += f" ({_words(own)[1]})"
@@ -134,7 +134,7 @@ class DecisionText:
         """
         decision = self.decision
         text = capital(self._event)
-        if self._free is not None and self._free.planned is not None:
+        if self._free and self._free.planned is not None:
             text += " at the planned value"
         together = self.together
         alone = self._probability(decision.probability)
@@ -149,7 +149,7 @@ class DecisionText:
                 if doubt.subject != decision.governing:
                     clause = f"({plain_name(doubt.subject)}, {clause})"
                 text += f"{worst} {clause}; as computed, "
-        if decision.all_modes is None:
+        if not decision.all_modes:
             text += probability(as_event(decision.aim, decision.probability))
         elif together == alone:
             text += f"{alone}, by your own limits and with {all_modes(decision)}"
@@ -157,7 +157,7 @@ class DecisionText:
             own = decision.own
             sets = [(doubt.subject, doubt.code) for doubt in self._setting]
             text += f"{together} with {all_modes(decision)}; by your own limits {alone}"
-            if own is not None and (own.subject, own.code) not in sets:
+            if own and (own.subject, own.code) not in sets:
                 # by the doubt that the sentence names
                 at_plan = probability_at_target(decision.aim, own.at_plan, own.target)
                 if own.code != "computation" and at_plan != alone:
@@ -205,7 +205,7 @@ class DecisionText:
             strength=strengths.get(subject, "strength"),
             way=way,
         )
-        if remedy.gains and self._free is not None:
+        if remedy.gains and self._free:
             gains = []
             for gain in remedy.gains:
                 band = value_range(gain.low, gain.high, self._free.quantity)
@@ -216,7 +216,7 @@ class DecisionText:
             text += f"; the number to use would then be {self.number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
                 text += f", if {subject} never fails"
-        if remedy.needed is not None:
+        if remedy.needed:
             name = plain_name(remedy.needed.subject) or subject
             if remedy.code == "change the plan":
                 text = f"Change the planned value or the target, or measure the strength of {name}"
@@ -245,7 +245,7 @@ class DecisionText:
 
     def number(self, x: float | None) -> str:
         """A value of the free number, rounded to its conservative side."""
-        if x is None or self._free is None:
+        if x is None or not self._free:
             return "none"
         free = self._free
         return round_conservative(
@@ -270,7 +270,7 @@ class DecisionText:
     @property
     def _ends(self) -> str:
         """Both ends of the range of the free number."""
-        assert self._free is not None
+        assert self._free
         return " and ".join(
             value(x, self._free.quantity) for x in (self._free.low, self._free.high)
         )
@@ -282,7 +282,7 @@ class DecisionText:
         if planned is None:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.quantity)}"
-        if use is not None and use.safety_factor is not None:
+        if use and use.safety_factor is not None:
             unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
             if use.safety_factor < 1.0:
                 text += ", no margin"
@@ -321,7 +321,7 @@ class DecisionText:
         that leaves it as it is.
         """
         library = self.decision.library
-        if library is None or (self._library_governs and None in (library.weak, library.strong)):
+        if not library or (self._library_governs and None in (library.weak, library.strong)):
             return ""
         quantity = self.results.study.modes[library.mode].quantity
         low, high = (value(x, quantity) for x in library.mean_strengths)
@@ -362,7 +362,7 @@ class DecisionText:
     def _event_of(self, subject: str, doubts: Sequence[Doubt]) -> str:
         """What the probability by a limit is of, alone or with what adds up to fracture."""
         entry = self.results.study.limits.get(plain_name(subject))
-        if entry is None or entry.fracture or any(doubt.joint for doubt in doubts):
+        if not entry or entry.fracture or any(doubt.joint for doubt in doubts):
             return "fracture probability"
         return "probability of exceedance"
 
@@ -404,7 +404,7 @@ class DecisionText:
                 text = (
                     f"damage that is not counted: {name} in {p} of the spheres at the planned value"
                 )
-                if doubt.margin is not None and self._free is not None:
+                if doubt.margin is not None and self._free:
                     at = value(doubt.margin, self._free.quantity)
                     text += f", in {format_share(doubt.target)} at {at}"
                 yield f"{text} (analysis.damage_counts = true counts it)"
@@ -586,7 +586,7 @@ def doubt_text(doubt: Doubt) -> str:
 def evidence_texts(results: Results) -> Iterator[str]:
     """What the study's crushing tests say of strengths of the library."""
     refuted = [entry for entry in results.evidence if entry.refuted]
-    raised = [entry for entry in results.evidence if not entry.refuted and entry.raised > 1.0]
+    raised = [entry for entry in results.evidence if entry.raised > 1.0]
     if refuted:
         names = listed([entry.mode for entry in refuted])
         tests = f"your {refuted[0].tests} tests"

@@ -87,7 +87,7 @@ def _strength(limit: Limit) -> Row:
 
 def _tested(limit: Limit, law: Law) -> str:
     """The range of the tests behind a strength: forces on sizes, or values."""
-    if limit.tested is not None and limit.tested.forces:
+    if limit.tested and limit.tested.forces:
         forces = limit.tested.forces
         sizes = limit.tested.diameters
         ends = value_range(min(forces), max(forces), "P_max")

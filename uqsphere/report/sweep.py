@@ -156,7 +156,7 @@ def point_files(
     with _ONE, tempfile.TemporaryDirectory() as place:
         reference = None
         folder = Path(place) / "run"
-        if model is not None:
+        if model:
             copy = Path(place) / model.path.name
             copy.write_bytes(model.source)
             reference = f"{copy}:{model.name}"
@@ -242,7 +242,7 @@ def sweep_table(sweep: Sweep) -> pd.DataFrame:
     rows = []
     for point, results, decision in _each(sweep):
         use: list[float | None] = [None, None, None]
-        if decision.use is not None:
+        if decision.use:
             use = [decision.use.value, decision.use.best.low, decision.use.best.high]
         p = joint_event(decision)
         verdict = (decision.verdict, decision.governing, results.accuracy.runs, point.name)
@@ -285,7 +285,7 @@ def _pictures(sweep: Sweep, frame: pd.DataFrame) -> dict[str, Picture]:
     pictures = {}
     first = next(iter(sweep.runs.values())).results
     shown = [("sweep-plan", f"{chart_title(first)} at the plan", "probability", "%", 100.0)]
-    if first.study.free is not None:
+    if first.study.free:
         scale = display_unit(first.study.free.quantity, frame["use"].astype(float).max())
         title = f"{capital(first.study.free.meaning)} to use"
         shown.insert(0, ("sweep-use", title, "use", *scale))

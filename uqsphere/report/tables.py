@@ -148,7 +148,7 @@ def certificate(results: Results, decision: Decision) -> PageTable:
     if any(doubt.code == "assumed strength" for doubt in doubts):
         note += "; * strength assumed, from the library"
     head = ["limit and what is open", f"{name} at the plan"]
-    if free is None:
+    if not free:
         rows = [(row[0], row[-1]) for row in rows]
     else:
         head[1:1] = f"{free.meaning} at the target", f"{name} at the number to use"
@@ -160,7 +160,7 @@ def limits(results: Results) -> PageTable:
     entries = results.entries
     free = results.study.free
     head = ["limit", f"{exceedance_name(results)} at the plan", "β"]
-    if free is not None:
+    if free:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
     rows = list[Row]()
     aims = [entry.aim for entry in entries.values()]
@@ -170,7 +170,7 @@ def limits(results: Results) -> PageTable:
         cells = [label(subject), p, DASH]
         if beta.value is not None:
             cells[2] = f"{beta.value:.2f}"
-        if free is not None:
+        if free:
             best = DASH
             if entry.aim in {decision.aim for decision in results.decisions}:
                 best = _best_estimate(results, subject, entry, free)
@@ -184,7 +184,7 @@ def limits(results: Results) -> PageTable:
             rows += _joint_rows(results, decision)
     governing = {decision.governing for decision in results.decisions}
     notes = ["bold: governs"]
-    if free is not None:
+    if free:
         notes.append(
             "best estimate: each limit by itself; to use: by all of them, considering what is "
             "open, which gives the range and what governs"
@@ -246,10 +246,10 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     use = decision.use
     own = decision.own
     free = results.study.free
-    if own is not None and own.margin is not None and decision.all_modes is not None:
+    if own and own.margin is not None and decision.all_modes:
         p = probability(as_event(decision.aim, decision.probability))
         yield "your own limits", p, "", "", text.number(own.margin), "", "", ""
-    if use is not None and free is not None:
+    if use and free:
         together, p = "each by itself", ""
         if decision.adds_up:
             # what is damage is in the note
@@ -287,15 +287,12 @@ def fracture(results: Results) -> PageTable:
     rows = [("fracture probability", probability(row)) for row in broken]
     by_mode = results.where("fracture", Kind.MODE_SHARE)
     rows += [(f"first failure mode: {row.at}", probability(row)) for row in by_mode]
-    for kind, quantity in (
-        (Kind.TIME_AT_FRACTURE, "contact_duration"),
-        (Kind.FORCE_AT_FRACTURE, "P_max"),
-    ):
-        rows += [
-            (f"{kind.replace('_', ' ')}, median", estimate(row, quantity))
-            for row in results.where("fracture", kind)
-            if row.at == 0.5
-        ]
+    medians = {Kind.TIME_AT_FRACTURE: "contact_duration", Kind.FORCE_AT_FRACTURE: "P_max"}
+    rows += [
+        (f"{row.answer.replace('_', ' ')}, median", estimate(row, medians[row.answer]))
+        for row in results.answers
+        if row.answer in medians and row.at == 0.5
+    ]
     return PageTable(
         "Fracture by any limit of the study",
         ("", "value"),
@@ -361,7 +358,7 @@ def indices(results: Results) -> PageTable:
 def margins(results: Results) -> PageTable:
     """The free number at the probabilities that were asked for, a column a limit of the study."""
     free = results.study.free
-    if free is None:
+    if not free:
         return PageTable()
     asked = dict[str, list[float]]()
     for name in results.study.limits:

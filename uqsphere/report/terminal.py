@@ -54,7 +54,7 @@ def _columns(rows: Sequence[Row], width: int) -> list[str]:
 
 def _limits(results: Results) -> list[Row]:
     head = ["failure mode", exceedance_name(results), "beta"]
-    if results.study.free is not None:
+    if results.study.free:
         head += ["best estimate", "to use"]
     return [head, *(row[: len(head)] for row in tables.limits(results).rows[: ROWS + 2])]
 

@@ -227,7 +227,7 @@ def write_log(folder: Path | None, text: str) -> None:
     """Add a line to the log of a run with the time (UTC); nothing without a folder, or where a link
     or no plain file stands in its place.  A log that cannot be written stops nothing.
     """
-    if folder is None:
+    if not folder:
         return
     path = folder / "log.txt"
     if path.is_symlink() or (path.exists() and not path.is_file()):

@@ -73,7 +73,7 @@ class Run:
 
         if self.columns is not None:
             return pd.DataFrame(self.columns)
-        assert self.folder is not None
+        assert self.folder
         return pd.read_csv(io.BytesIO(read_checked(self.folder, "samples.csv")))
 
     @property
@@ -133,8 +133,8 @@ class Run:
         from uqsphere.uq.surrogate import fit_expansion
 
         study = self.study
-        if study is None:
-            assert self.folder is not None
+        if not study:
+            assert self.folder
             study = stored_study(self.folder, self.results)
         rows = self.samples.head(MOST_FITTED)
         names = list(study.random)
