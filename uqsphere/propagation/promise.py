@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -48,8 +49,6 @@ _FORCES = 60
 #: Euler's constant
 _GAMMA = 0.5772156649015329
 
-#: places that strengths with these locations and scales of their logarithm allow
-Tabulated = Callable[[Array, Array], Array]
 #: what failure modes add to the exceedance of a limit at places (J, L), those of the library being
 #: stronger than at their middle by logarithms (J,)
 Added = Callable[[Sequence[Array], Array], Array]
@@ -126,14 +125,14 @@ class _Promise:
             along = np.broadcast_to(line.places, (_SERIES, line.places.size))
             target = np.array([self.limit.allowable])
             yield _places(settled, score(added(along)), target)[:, 0]
-        for name, tables in self.tables.items():
+        for name, (z, splines) in self.tables.items():
             kind = STRENGTHS[name]
             location, scale = (part[:, None] for part in kind.fit(logs, leaving))
             centre, inverse = _pivots(kind, tuple(leaving.tolist()), self.limit.allowable)
-            strengths = location - scale * centre, scale * inverse
-            at = np.quantile(
-                [table(*strengths) for table in tables], ENDS[settled.safe_above], axis=2
-            ).T
+            wide = scale * inverse
+            quantile = location - scale * centre + z * wide
+            allowed = [spline.ev(quantile, np.log(wide)) for spline in splines]
+            at = np.quantile(allowed, ENDS[settled.safe_above], axis=2).T
             # where the limit's share and the other modes make the target
             together = score(self.allowed + added(at))
             target = score(self.limit.allowable)
@@ -171,10 +170,11 @@ class _Promise:
         # forces beyond what a mode can reach say nothing of it
         return np.where(raised > _range_of(mode), math.inf, np.fmax(raised, 0.0))
 
-    def _tabulated(self, name: str) -> list[Tabulated]:
-        """Places at some probabilities of exceedance under a distribution: over the quantile of the
-        strength at the target, in which they are nearly linear, and the scale; beyond the line its
-        ends.
+    def _tabulated(self, name: str) -> tuple[float, list[Any]]:
+        """The standard quantile at the target of a distribution; and, for every allowed probability
+        of exceedance, a spline of the places that strengths with such logarithms allow: over their
+        quantile at the target, in which places are nearly linear, and the logarithm of their scale;
+        beyond the line its ends.
         """
         from scipy.interpolate import RectBivariateSpline
 
@@ -182,12 +182,12 @@ class _Promise:
         wider = math.sqrt(6.0) / math.pi
         kind = STRENGTHS[name]
         # the same mean and standard deviation of the logarithm
-        if fitted.normal and not kind.normal:
-            location = location + _GAMMA * wider * scale
-            scale = scale * wider
-        elif kind.normal and not fitted.normal:
-            location = location - _GAMMA * scale
-            scale = scale / wider
+        if kind is not fitted and kind.normal:
+            location -= _GAMMA * scale
+            scale /= wider
+        elif kind is not fitted:
+            location += _GAMMA * wider * scale
+            scale *= wider
         below = np.array([self.limit.allowable])
         (z,) = kind.form.quantile(below, 1.0 - below)
         scales = scale * np.geomspace(0.25, 4.0, _SCALES)
@@ -201,12 +201,10 @@ class _Promise:
         table = _places(self.settled, score(curves), self.allowed).reshape(
             quantiles.size, scales.size, -1
         )
-
-        def tabulated(places: Array) -> Tabulated:
-            spline = RectBivariateSpline(quantiles, np.log(scales), places, kx=1, ky=1)
-            return lambda at, wide: spline.ev(at + z * wide, np.log(wide))
-
-        return [tabulated(places) for places in np.moveaxis(table, 2, 0)]
+        return z, [
+            RectBivariateSpline(quantiles, np.log(scales), places, kx=1, ky=1)
+            for places in np.moveaxis(table, 2, 0)
+        ]
 
 
 def _range_of(mode: AssumedMode) -> float:

@@ -293,8 +293,9 @@ class DecisionText:
     @property
     def _governs(self) -> str:
         """What sets the number to use."""
-        name = plain_name(self.decision.governing)
-        if self.decision.governing.startswith("limits."):
+        governing = self.decision.governing
+        name = plain_name(governing)
+        if governing.startswith("limits."):
             name = f"limit {name}"
         text = f"{capital(name)} governs"
         if self._library_governs:
@@ -304,7 +305,7 @@ class DecisionText:
             if doubt.code in ("tests", "computation"):
                 end = "upper" if self._safe_above else "lower"
                 clause = f"by the {end} end of {clause.removeprefix('with ')}"
-            if doubt.subject != self.decision.governing:
+            if doubt.subject != governing:
                 text += f"; the number is that of {plain_name(doubt.subject)}"
             text += f", {clause}"
         return f"{text}."
@@ -334,8 +335,8 @@ class DecisionText:
     @property
     def _why_none(self) -> str:
         """Why there is no number to use."""
-        if self.decision.blocked_by:
-            decision = self.decision
+        decision = self.decision
+        if decision.blocked_by:
             name = capital(plain_name(decision.blocked_by))
             allowed = decision.target or 0.0
             if any(point.value is not None and point.value < allowed for point in decision.curve):
@@ -346,8 +347,8 @@ class DecisionText:
             if decision.aim == "break":
                 return f"{name} does not reach its target anywhere between {self._ends}."
             return f"{name} exceeds its target everywhere between {self._ends}."
-        if not self.decision.curve:
-            margins = self.results.where(f"limits.{self.decision.limits[0]}", Kind.MARGIN)
+        if not decision.curve:
+            margins = self.results.where(f"limits.{decision.limits[0]}", Kind.MARGIN)
             reasons = "; ".join(row.note for row in margins)
             return f"The probability between {self._ends} is not known: {reasons}."
         if self._kept_everywhere:

@@ -3,10 +3,10 @@
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from uqsphere.results.types import Results
+from uqsphere.results.types import Kind, Results
 
 from . import tables
-from .format import keep_units, meaning, value_range
+from .format import estimate, keep_units, meaning, value_range
 from .sentences import NO_LIMIT, accuracy_text, decision_texts, exceedance_name, limit_notes
 from .tables import Row
 
@@ -66,8 +66,8 @@ def _paper(results: Results) -> list[Row]:
 
 def _quantities(results: Results) -> Sequence[Row]:
     rows = [("quantity", "mean", "5-95 % range")]
-    shown = zip(results.study.quantities.items(), tables.quantities(results).rows, strict=True)
-    for (name, entry), (_, mean, *_) in shown:
+    for name, entry in results.study.quantities.items():
+        mean = estimate(results.get(name, Kind.MEAN), name)
         low, _, high = entry.range
         rows.append((meaning(name), mean, value_range(low, high, name)))
     return rows[: ROWS + 1]
