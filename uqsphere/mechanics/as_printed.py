@@ -99,8 +99,8 @@ def compare_with_paper(scene: Scene) -> tuple[PaperValue, ...]:
     full = solve(scene, tolerance=_TOLERANCE)
     scales = scene.scales.at(0)
     speed = float(scene.columns["striker.speed"][0])
-    # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3)
-    alpha = (0.5 * speed * scales.impedance / scales.hertz_constant) ** (2.0 / 3.0)
+    # (3.6): alpha_max = (v0 F0 rho c0/(2 beta))^(2/3), where v0 F0 rho c0/2 is P_c
+    alpha = (scales.force / scales.hertz_constant) ** (2.0 / 3.0)
     # (5.1), (5.3) with 1/E* = pi (k0 + k), (5.4)
     radius = math.sqrt(alpha * scales.effective_radius)
     force = (4.0 / 3.0) * scales.modulus * alpha * radius
@@ -156,7 +156,6 @@ def _approaches(scene: Scene, alpha: float, duration: float) -> list[PaperValue]
     scales = scene.scales.at(0)
     time = scales.time
     theta = scales.pulse_number
-    impedance = scales.impedance
     beta = scales.hertz_constant
     course = motion(scene, 0, tolerance=_TOLERANCE)
 
@@ -179,18 +178,17 @@ def _approaches(scene: Scene, alpha: float, duration: float) -> list[PaperValue]
     values = [at("approach_at_t_c", "t_c", 1.0, approach(time, alpha, duration), sine)]
     if math.isfinite(theta):
         printed = approach_after_pulse(
-            time, alpha * float(massless_approach(theta, theta)), impedance, beta
+            time, alpha * float(massless_approach(theta, theta)), scales.impedance, beta
         )
         fall = "(3.16) lacks a factor 1/2, so that the approach falls twice as fast"
         values.append(at("approach_after_pulse", "t_i + t_c", theta + 1.0, printed, fall))
     # (4.10): alpha -> v0/lambda_1 under a step, lambda_1 = k/(F0 rho c0)
-    speed = float(scene.columns["striker.speed"][0])
     stiffness = beta * math.sqrt(alpha)
     plateau = PaperValue(
         quantity="linear_plateau",
         name="approach after an endless step, linear contact",
-        printed=speed * impedance / stiffness,
-        corrected=0.5 * speed * impedance / stiffness,
+        printed=2.0 * scales.force / stiffness,
+        corrected=scales.force / stiffness,
         full=_settled(scene),
         unit_of="alpha_max",
         note="(4.10) lacks a factor 1/2; stiffness: secant of Hertz at alpha_max",

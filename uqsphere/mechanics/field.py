@@ -55,7 +55,7 @@ def _nudge(motion: Motion, times: Array, sides: Values) -> Values:
 
 def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int) -> Array:
     """Sum over k >= first of R^k times the wave that first left the contact at t - k T."""
-    end = motion.reflection(bar)
+    end = motion.scene.reflections[motion.row, bar]
     trip = motion.round_trip(bar)
     nudge = _nudge(motion, times, sides)
     last = times.max(initial=0.0) * (1.0 + 1e-12)
@@ -312,9 +312,10 @@ def gauge_record(motion: Motion, bar: str, position: float, *, points: int = 200
     number = check_position(motion, bar, position)
     delay = position / motion.wave_speed
     end = last_time(motion, bar, position)
-    begin = -1.1 * delay if number == 0 else 0.0
+    begin = 0.0
     jumps = np.zeros(0)
     if number == 0:
+        begin = -1.1 * delay
         echo = motion.echo(number)
         count = int(min(motion.horizon / echo, 16.0))
         jumps = pulse_kinks(motion, [0.0, *(echo * np.arange(1, 1 + count))])

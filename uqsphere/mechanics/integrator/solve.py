@@ -111,10 +111,6 @@ class Motion:
         """Length of a bar [m]; infinite where it has none."""
         return 0.5 * self.wave_speed * self.round_trip(bar)
 
-    def reflection(self, bar: int) -> float:
-        """Velocity reflection coefficient of a bar's far end; 0 if nothing comes back."""
-        return float(self.scene.reflections[self.row, bar])
-
     def echo(self, bar: int) -> float:
         """Round trip of a bar whose far end sends a wave back [s]; else infinite."""
         return float(self.scene.echoes[self.row, bar])
