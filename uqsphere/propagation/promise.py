@@ -233,12 +233,13 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
             stronger = replace(state, strength=scaled_strength(mode.middle, math.exp(node)))
             rows.append(line.means(exceedance(stronger, survive) * stands).mean(axis=1))
         scores = score(np.array(rows))
-        tables.append((RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1), nodes[-1]))
+        tables.append(RectBivariateSpline(nodes, line.places, scores, kx=1, ky=1))
 
     def added(stronger: Sequence[Array], places: Array) -> Array:
         none = np.interp(places, line.places, held)
-        for (table, most), by in zip(tables, stronger, strict=True):
-            exceeded = special.ndtr(table.ev(np.minimum(by, most)[:, None], places))
+        for table, by in zip(tables, stronger, strict=True):
+            # beyond its nodes a spline stays at its end
+            exceeded = special.ndtr(table.ev(by[:, None], places))
             none = none * np.where(np.isinf(by)[:, None], 1.0, 1.0 - exceeded)
         return np.asarray(1.0 - none)
 

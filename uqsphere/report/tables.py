@@ -160,8 +160,13 @@ def limits(results: Results) -> PageTable:
     entries = results.entries
     free = results.study.free
     head = ["limit", f"{exceedance_name(results)} at the plan", "β"]
+    notes = ["bold: governs"]
     if free:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
+        notes.append(
+            "best estimate: each limit by itself; to use: by all of them, considering what is "
+            "open, which gives the range and what governs"
+        )
     rows = list[Row]()
     aims = [entry.aim for entry in entries.values()]
     for subject, entry in entries.items():
@@ -183,12 +188,6 @@ def limits(results: Results) -> PageTable:
         if aims.count(decision.aim) > 1:
             rows += _joint_rows(results, decision)
     governing = {decision.governing for decision in results.decisions}
-    notes = ["bold: governs"]
-    if free:
-        notes.append(
-            "best estimate: each limit by itself; to use: by all of them, considering what is "
-            "open, which gives the range and what governs"
-        )
     notes += limit_notes(results)
     modes = FAILURE_MODES.values()
     notes += [f"{mode.name}: {mode.gloss}" for mode in modes if mode.name in results.study.modes]
