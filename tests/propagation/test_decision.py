@@ -1049,6 +1049,38 @@ def test_rows_that_all_fail_at_a_value_of_the_free_number_are_no_survivors(runs:
     assert "whole range" not in summary(results)
 
 
+@pytest.mark.parametrize("policy", ["bound", "5 %"])
+def test_rows_that_fail_count_once(policy: str) -> None:
+    """2 % of the rows fail: a number that allows for them is given, and the search, which counts
+    them as failures itself, does not have them twice.
+    """
+    study = Study(
+        inputs={
+            "x": {"dist": "normal", "mean": 1.0, "sd": 0.2},
+            "v": {"dist": "normal", "mean": 1.0, "sd": 0.05},
+        },
+        outputs="y",
+        limits={"high": limit("survive", 0.05, 2.0)},
+        margins={"solve": "v", "between": [0.5, 2.0]},
+        analysis={"on_failure": policy, "budget": {"evaluations": 40_000}},
+    )
+
+    def striped(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        y = x["x"] * x["v"] ** 2
+        return {"y": np.where(np.abs(np.sin(37.0 * x["x"])) < 0.03, np.nan, y)}
+
+    results = uqsphere.run(study, striped).results
+    (decision,) = results.decisions
+    assert decision.verdict == "met"
+    assert decision.use is not None
+    # P(x v^2 > 2) is 0.03 at 1.183 and 0.05 at 1.21
+    assert 1.15 < decision.use.value < 1.183
+    (alone,) = results.where("limits.high", Kind.FAILURE_PROBABILITY)
+    (together,) = results.where("decision.survive", Kind.FAILURE_PROBABILITY)
+    assert alone.high_unseen is not None
+    assert alone.high_unseen == together.high_unseen < 0.025
+
+
 @pytest.mark.parametrize("why", ["failed", "leaves"])
 def test_a_curve_that_is_not_known_is_not_one_that_keeps_its_target(why: str) -> None:
     """Rows that fail, and may be failures, or a model that no expansion follows."""

@@ -599,6 +599,12 @@ def test_quasi_static_tests_hold_what_is_to_break(
     )
 
 
+def test_tests_at_the_rate_of_the_rig_need_no_column_of_rates() -> None:
+    changes = ['limits.whole.rate_0="200 1/s"']
+    study = load_study("studies/limestone_margin.toml", changes)
+    assert [place for _, place, _ in study.caveats] == ["limits.crushed.strength"]
+
+
 def test_a_size_law_that_does_not_agree_is_refused(load: Load) -> None:
     with pytest.raises(StudyError, match="did not converge"):
         load(FORCES, "\n".join(["D,F", *ROWS, "119,283000"]), 'criterion = "core_tension"', PELLET)

@@ -167,7 +167,7 @@ def run(
         answers = [*map(tables.of_answered, answers)]
         checked = [*checks(tables, evaluator.notes)]
         decisions = [decision_of(aim, checked) for aim in judged]
-        answers += decision_answers(tables, decisions)
+        answers += decision_answers(tables, judged, decisions)
         for runs, error in tables.reached:
             answers.append(
                 number_row("run", "error", runs, error, method="half-width over what is required")

@@ -405,10 +405,13 @@ class Curves:
         if self.line.compared is not None:
             curves = self._by_rows(limit, base, self.line.compared)
         # the failed rows that are left out would all have been on the unsafe side
-        for curve, exceeded in zip(curves, rows, strict=True):
-            lost = [lost_share(np.isnan(part)) for part in self.line.by_value(exceeded)]
-            curve += lost if self.survive else np.negative(lost)
-        curves = [np.clip(curve, 0.0, 1.0) for curve in curves]
+        for k, exceeded in enumerate(rows):
+            failed = [np.isnan(part) for part in self.line.by_value(exceeded)]
+            lost = np.array([*map(lost_share, failed)])
+            if not self.survive:
+                lost = -lost
+            curves[k] = np.clip(curves[k] + lost, 0.0, 1.0)
+            carried_by[k] = np.add(carried_by[k], [part.sum() for part in failed]).tolist()
         doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))

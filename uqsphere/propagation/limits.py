@@ -59,11 +59,9 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
     column = limit.column
-    state = state_of(design, limit, tables.sample)
-    sampled = state.failure_of_aim(limit.aim)
+    sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
     if limit.name in tables.rare:
-        missed = count_bound((~state.broken).sum(), state.broken.sum())
-        return _searched(tables.rare[limit.name].estimate, sampled, missed)
+        return _searched(tables.rare[limit.name].estimate, sampled)
     constant = not design.variables and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
@@ -74,20 +72,23 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     )
 
 
-def _searched(searched: Estimate, sampled: Estimate, missed: float) -> Estimate:
+def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
     """The answer of a search, beside that of the plain sample: failures that the search did not aim
-    at are no more probable than what the sample may have missed.  Where the sample by itself allows
+    at are no more probable than a sample without them allows.  Where the sample by itself allows
     for less than the search, it answers.
+
+    A search counts rows that failed as failures at its upper end, whatever the study asks for.
     """
-    low = sampled.low or 0.0
-    most = min((sampled.high or 1.0) + missed, 1.0)
-    if searched.value and low > (searched.high or 1.0):
+    missed = count_bound(sampled.evaluations)
+    low, high = sampled.outer
+    most = min((high or 1.0) + missed, 1.0)
+    if searched.value and (sampled.low or 0.0) > (searched.high or 1.0):
         # the sample has met failures that the search missed
         return sampled.holding(searched)
     if not searched.value or 0.5 * most < searched.half_width:
         # such a search knows no more than the sample does
         if sampled.value:
-            low = max(low - missed, 0.0)
+            low = max((low or 0.0) - missed, 0.0)
             return replace(sampled, low=low, high=most, low_unseen=None, high_unseen=None)
         high = min(searched.high or 1.0, sampled.high or 1.0)
         if searched.value and searched.value < high:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import lookup, round_conservative
 from uqsphere.results import types
-from uqsphere.results.answers import Rows, number_row
+from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.results.types import (
     Caveat,
     CaveatCode,
@@ -628,19 +627,23 @@ def by_own_limits(judged: Sequence[Judged]) -> dict[frozenset[str], Estimate]:
     return joint
 
 
-def decision_answers(tables: Tables, decisions: Sequence[Decision]) -> Rows:
+def decision_answers(
+    tables: Tables, judged: Sequence[Judged], decisions: Sequence[Decision]
+) -> Rows:
     """Of every decision, the failure probability at the plan, the number to use and the safety
     factor of the number as people read it.
     """
-    for decision in decisions:
-        row = partial(number_row, f"decision.{decision.aim}", runs=tables.runs)
-        p = decision.all_modes or decision.probability
-        yield row("failure_probability", "together", p.value, p.low, p.high, note=p.note)
+    runs = tables.runs
+    for aim, decision in zip(judged, decisions, strict=True):
+        subject = f"decision.{decision.aim}"
+        estimates = aim.all_modes if decision.all_modes else aim.probability
+        p = estimates[aim.lead.name]
+        yield estimate_row(subject, "failure_probability", p, "together", runs=runs)
         use = decision.use
         if use is not None:
             unit = lookup(tables.design.free_quantity).unit
-            yield row("number_to_use", use.path, use.value, unit=unit)
-            yield row("safety_factor", use.path, use.safety_factor)
+            yield number_row(subject, "number_to_use", use.path, use.value, unit=unit, runs=runs)
+            yield number_row(subject, "safety_factor", use.path, use.safety_factor, runs=runs)
 
 
 _TEXTS = {

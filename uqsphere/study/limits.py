@@ -258,7 +258,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     cells, lines, columns, stopped = observations(table, draft, **TESTS)
     force = columns["force"]
     diameter = columns["diameter"]
-    rate = columns.get("rate")
+    rate = columns.get("rate", 0.0)
     tension = _warn_of_slips(table, cells, lines, columns, draft)
     warn_of_rows(table, cells, lines, tension, stopped, draft)
 

@@ -318,7 +318,8 @@ def make_tests(values: object, stopped: object = None, counts: object = None) ->
     of equal tests.
 
     Raises ValueError for no test, values that are not positive and finite, flags that are not 0 or
-    1, numbers that are none, only stopped tests, or failures without scatter.
+    1, numbers that are none, only stopped tests, or failures without scatter; TypeError for dates,
+    complex and masked numbers.
 
     >>> make_tests([3.0, 1.0, 2.0, 1.0], [True, False, False, False]).failures.tolist()
     [2.0, 1.0, 0.0]

@@ -180,9 +180,7 @@ def failure_probability(
         if d > MOST_DIMENSIONS and (mixture.ratio(subset.failures[:, :d]) > 1.0).any():
             answer = answer._replace(trusted=False)
         estimate, warning = _defended(*_certify(answer, subset.estimate), mass)
-    failed = np.isnan(mass)
-    missed = count_bound((~failed).sum(), failed.sum())
-    unseen = min((estimate.high or 1.0) + missed, 1.0)
+    unseen = min((estimate.high or 1.0) + count_bound(mass.size), 1.0)
     estimate = replace(estimate, high_unseen=unseen, evaluations=evaluator.count)
     return RareAnswer(estimate, warning, points, draws)
 
