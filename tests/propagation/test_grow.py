@@ -18,7 +18,6 @@ from uqsphere.propagation.limits import _searched
 from uqsphere.propagation.tables import Accuracy, Tables, evaluate
 from uqsphere.study import Study, load_study
 from uqsphere.uq import Estimate, Sample
-from uqsphere.uq.estimate import count_bound
 
 grow = sys.modules["uqsphere.propagation.grow"]
 STUDY = """
@@ -134,11 +133,11 @@ def estimate(value: float, low: float, high: float, runs: int) -> Estimate:
 
 def test_failures_that_a_search_misses_and_the_sample_meets_are_in_the_interval() -> None:
     search, sample = estimate(3e-6, 2.9e-6, 3.1e-6, 30_000), estimate(2e-4, 1e-4, 4e-4, 65_536)
-    both = _searched(search, sample, count_bound(65_536))
+    both = _searched(search, sample)
     assert both.low == 2.9e-6
     assert both.value == 2e-4
     assert both.high == 4e-4
-    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536), count_bound(65_536))
+    alone = _searched(search, estimate(1e-6, 1e-9, 1e-3, 65_536))
     assert alone.high == 3.1e-6
     assert alone.high_unseen == pytest.approx(3.1e-6 + 3.0 / 65_536, rel=0.01)
 
@@ -166,16 +165,15 @@ def test_a_sample_bounds_a_search_whose_methods_disagree() -> None:
 
 def test_an_unsure_search_takes_the_place_of_no_sample_that_knows_more() -> None:
     unsure = estimate(1e-5, 2e-6, 0.2, 30_000)
-    missed = count_bound(8192)
-    met = _searched(unsure, estimate(6e-4, 2e-4, 1.5e-3, 8192), missed)
+    met = _searched(unsure, estimate(6e-4, 2e-4, 1.5e-3, 8192))
     assert met.value == 6e-4
     # room for what the sample may have missed too
     assert met.low == 0.0
     assert met.high == pytest.approx(1.5e-3 + 3.0 / 8192, rel=0.01)
     none = estimate(0.0, 0.0, 3.7e-4, 8192)
-    assert _searched(unsure, none, missed).value == 1e-5
-    assert _searched(unsure, none, missed).outer == (2e-6, 3.7e-4)
-    beyond = _searched(estimate(2e-3, 2e-6, 0.2, 30_000), none, missed)
+    assert _searched(unsure, none).value == 1e-5
+    assert _searched(unsure, none).outer == (2e-6, 3.7e-4)
+    beyond = _searched(estimate(2e-3, 2e-6, 0.2, 30_000), none)
     assert beyond.value is None
     assert beyond.outer == (0.0, 3.7e-4)
 

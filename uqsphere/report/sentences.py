@@ -199,10 +199,13 @@ class DecisionText:
                 way = capital(caveat.text.rpartition(": ")[2])
                 if way.startswith("Set"):
                     way += ", or test at the rate of the rig"
+        strength = strengths.get(subject, "strength")
+        if strength != subject:
+            strength += f" ({subject})"
         text = _REMEDIES[remedy.code].format(
             subject=subject,
             tail=tail,
-            strength=strengths.get(subject, "strength"),
+            strength=strength,
             way=way,
         )
         if remedy.gains and self._free:
@@ -433,7 +436,7 @@ _REMEDIES = {
         "Run again with a smaller analysis.accuracy.probability or a larger analysis.budget"
     ),
     "widen the range": "Widen margins.between, or change the demand",
-    "measure the strength": "Measure the {strength} ({subject}) of this rock",
+    "measure the strength": "Measure the {strength} of this rock",
     "test more": "Make more tests for {subject}",
     "test the lower tail": (
         "Make more tests for {subject}: the {tail} tail of the strength decides"
@@ -587,13 +590,13 @@ def doubt_text(doubt: Doubt) -> str:
 def evidence_texts(results: Results) -> Iterator[str]:
     """What the study's crushing tests say of strengths of the library."""
     refuted = [entry for entry in results.evidence if entry.refuted]
-    raised = [entry for entry in results.evidence if entry.raised > 1.0]
+    raised = [entry for entry in results.evidence if round(entry.raised, 2) > 1.0]
     if refuted:
         names = listed([entry.mode for entry in refuted])
         tests = f"your {refuted[0].tests} tests"
         yield f"Left out, because {tests} refute the library's strength: {names}."
     if raised:
-        factors = listed([f"{entry.mode} (weak end times {entry.raised:.2g})" for entry in raised])
+        factors = listed([f"{entry.mode} (weak end times {entry.raised:.3g})" for entry in raised])
         yield f"Library strengths raised to what your tests allow: {factors}."
 
 
