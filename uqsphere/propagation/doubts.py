@@ -16,12 +16,20 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Pair, Values, bundle, special
+from uqsphere.arrays import Array, Flags, Pair, Values, bundle, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
 from uqsphere.uq import Law, LawError, make_law
-from uqsphere.uq.estimate import ENDS, carriers, lost_share, probability_ends, spread, spreads
+from uqsphere.uq.estimate import (
+    ENDS,
+    carriers,
+    count_bound,
+    lost_share,
+    probability_ends,
+    spread,
+    spreads,
+)
 from uqsphere.uq.fitting import STRENGTHS, fitted_law, is_fitted, possible_laws, series_behind
 from uqsphere.uq.joint import FREE
 from uqsphere.uq.limit_state import make_union
@@ -407,7 +415,7 @@ class Curves:
         # the failed rows that are left out would all have been on the unsafe side
         for k, exceeded in enumerate(rows):
             failed = [np.isnan(part) for part in self.line.by_value(exceeded)]
-            lost = np.array([*map(lost_share, failed)])
+            lost = self._lost(failed)
             if not self.survive:
                 lost = -lost
             curves[k] = np.clip(curves[k] + lost, 0.0, 1.0)
@@ -418,6 +426,15 @@ class Curves:
             if max(carried_by[1][max(above - 1, 0) : above + 1]) < FEWEST:
                 return replace(doubt, margin=None)
         return doubt
+
+    def _lost(self, failed: Sequence[Flags]) -> Array:
+        """The shares (K,) that rows of each value which failed may stand for: no more than at a
+        value nearer to the unsafe end, unless surely more have; few rows leave much open.
+        """
+        own = np.array([*map(lost_share, failed)])
+        surely = [1.0 - count_bound(part.sum(), (~part).sum()) for part in failed]
+        nearer = np.minimum.accumulate(own[self._from_unsafe])[self._from_unsafe]
+        return np.where(surely > nearer, own, nearer)
 
     def _by_rows(self, limit: Limit, base: Array, compared: Compared) -> list[Array]:
         """The unsafe ends (K,) of probabilities (2, K, R) of a limit by a slow model: what its rows
@@ -463,10 +480,13 @@ class Curves:
         survive = self.survive
         none_fails = means <= 0.0 if survive else means >= 1.0
         accumulate = np.minimum.accumulate if survive else np.maximum.accumulate
-        from_unsafe = slice(None, None, -1)
-        if self.safe_above:
-            from_unsafe = slice(None)
-        return np.where(none_fails, accumulate(ends[from_unsafe])[from_unsafe], ends)
+        from_unsafe = accumulate(ends[self._from_unsafe])
+        return np.where(none_fails, from_unsafe[self._from_unsafe], ends)
+
+    @property
+    def _from_unsafe(self) -> slice:
+        """The values of the line from the unsafe end on; of these, those of the line."""
+        return slice(None, None, 1 if self.safe_above else -1)
 
     def _exceeded(self, limit: Limit) -> Pair:
         """Probabilities (R, N) of exceedance of a limit by its own strength, alone and with the

@@ -27,8 +27,9 @@ class Fragility:
     values: Mapping[float, Estimate]
 
     def allowing(self, others: Sequence["Fragility"]) -> "Fragility":
-        """The same with outer ends that hold other curves and their intervals."""
-        curves = np.array([other.curve for other in others])
+        """The same with outer ends that hold its own intervals and those of other curves."""
+        every = self, *others
+        curves = np.array([each.curve for each in every])
         curve = np.array(self.curve)
         curve[:, 4] = curves[:, :, 2].min(axis=0)
         curve[:, 5] = curves[:, :, 3].max(axis=0)
@@ -36,9 +37,9 @@ class Fragility:
         for target, estimate in self.values.items():
             if estimate.value is None:
                 continue
-            further = [other.values[target] for other in others]
-            low = min(-inf if other.low is None else other.low for other in further)
-            high = max(inf if other.high is None else other.high for other in further)
+            known = [each.values[target] for each in every]
+            low = min(-inf if each.low is None else each.low for each in known)
+            high = max(inf if each.high is None else each.high for each in known)
             values[target] = replace(estimate, low_unseen=low, high_unseen=high)
         return Fragility(curve=curve.tolist(), values=values)
 
