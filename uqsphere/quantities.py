@@ -15,8 +15,8 @@ from uqsphere.mechanics.inputs import INPUTS as INPUTS
 from uqsphere.mechanics.outputs import OUTPUTS as OUTPUTS
 from uqsphere.units import UNITS, Quantity
 
-#: a probability next to 1, beyond which its complement has no two digits
-_LARGEST_WRITTEN = 1.0 - 1e-12
+#: a probability next to 1, beyond which nobody reads its digits
+_LARGEST_WRITTEN = 1.0 - 1e-6
 #: smaller unit for values below one display unit
 SMALLER = {"m": "mm", "kN": "N"}
 
@@ -165,7 +165,7 @@ def format_probability(
     "above" the lower end; without a value the ends themselves are given.
 
     >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 1.0 - 2.6e-7, 0.0)]
-    ['3.3 %', '2.6e-5 %', '99.974 %', '99.999974 %', '0 %']
+    ['3.3 %', '2.6e-5 %', '99.974 %', 'above 99.9999 %', '0 %']
     >>> format_probability(0.0, 7.32e-4), format_probability(1.0, 1.0, 0.9998)
     ('below 0.074 %', 'above 99.98 %')
     >>> format_probability(None, 1e-5), format_probability(None, 1.0, 0.9998)
