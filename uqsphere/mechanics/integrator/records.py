@@ -79,7 +79,7 @@ def next_touch(s, j, made):
     for face in range(2):
         rate = closing_rate(s, j, face)
         if lane.trips[face] < inf:
-            if not _stays_open(s, j, face, made, ahead):
+            if not _stays_open_or_leaps(s, j, face, made, ahead):
                 ahead = min(ahead, lane.trips[face])
         elif rate > 0.0:
             ahead = min(ahead, -s.x[0, face * LANES + j] / rate)
@@ -94,11 +94,27 @@ def closing_rate(s, j, face):
 
 
 @compiled
-def _stays_open(s, j, bar, made, ahead):
+def _opened_by_echoes(s, j, bar, made):
+    """How much the echoes of the last round trip open the gap at a bar in the next one."""
+    lane = s.lane[j]
+    begin = lane.time - lane.trips[bar]
+    opens = 0.0
+    for step in range(lane.first[bar], lane.count):
+        kept = made[j, step & (s.ring - 1)]
+        first = max(begin - kept.began, 0.0) / kept.unit
+        width = max(kept.holds / kept.unit - first, 0.0)
+        for i in range(WAVE):
+            wave, _ = rise_of(kept.wave, bar, first + width * NODES[i])
+            opens -= 2.0 * lane.reflect[bar] * WEIGHTS[i] * wave * width * kept.unit
+    return opens
+
+
+@compiled
+def _stays_open_or_leaps(s, j, bar, made, ahead):
     """Whether the gap at the bar of a rig never closes again while no force acts.
 
-    Else the bodies move on by the round trips in which no gap closes; ahead: until the other one
-    does.
+    Else the bodies have been moved on by the round trips in which no gap closes; ahead: until the
+    other one does.
     """
     lane = s.lane[j]
     rate = closing_rate(s, j, bar)
@@ -110,18 +126,11 @@ def _stays_open(s, j, bar, made, ahead):
     if not waited or (rate <= 0.0 and ahead == inf):
         return rate <= 0.0
     # each round trip repeats what is left of the echoes of the last one, which only open
-    begin = lane.time - trip
-    opens = 0.0
-    for step in range(lane.first[bar], lane.count):
-        kept = made[j, step & (s.ring - 1)]
-        first = max(begin - kept.began, 0.0) / kept.unit
-        width = max(kept.holds / kept.unit - first, 0.0)
-        for i in range(WAVE):
-            wave, _ = rise_of(kept.wave, bar, first + width * NODES[i])
-            opens -= 2.0 * share * WEIGHTS[i] * wave * width * kept.unit
+    opens = _opened_by_echoes(s, j, bar, made)
     # a gap stays open while it exceeds what it closes by without echoes; and, where it was open all
     # over the last round trip, until it is as wide after n more as the same share R^n of it: the n
-    # powers of R that the echoes then add up to exceed n - n (n - 1) (1 - R)/2
+    # powers of R that the echoes then add up to exceed n - n (n - 1) (1 - R)/2; for ever where R is
+    # 1, since division by zero is infinite here
     closes = rate * trip
     gap = -s.x[0, bar * LANES + j]
     trips = inf
