@@ -33,7 +33,7 @@ from .pictures import (
     plain_logarithms,
     write,
 )
-from .sentences import DecisionText, all_modes, joint_event
+from .sentences import DecisionText, all_together, joint_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,7 +98,7 @@ def curves_of(results: Results, limit: str | None = None) -> list[Curve]:
     for decision in results.decisions:
         if limit is None and decision.adds_up and decision.curve:
             x, p, *_ = _ends(decision.curve)
-            curves.append(Curve(all_modes(decision), x, p, INK, JOINT, joint_event(decision)))
+            curves.append(Curve(all_together(decision), x, p, INK, JOINT, joint_event(decision)))
     return curves
 
 

@@ -531,6 +531,14 @@ def all_modes(decision: Decision) -> str:
     return "all failure modes"
 
 
+def all_together(decision: Decision) -> str:
+    """The same in short, beside single modes: what is damage is told elsewhere."""
+    damage = _damage_modes([decision])
+    if damage:
+        return f"all but {listed(damage)}"
+    return "all together"
+
+
 def _damage_modes(decisions: Sequence[Decision]) -> list[str]:
     """Failure modes that damage the sphere and are not counted as its fracture."""
     doubts = chain.from_iterable(decision.doubts for decision in decisions)

@@ -41,7 +41,7 @@ from .pictures import ranked_inputs
 from .sentences import (
     METHODS,
     DecisionText,
-    all_modes,
+    all_together,
     as_event,
     doubt_text,
     exceedance_name,
@@ -251,10 +251,7 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
     if use and free:
         together, p = "each by itself", ""
         if decision.adds_up:
-            # what is damage is in the note
-            together = all_modes(decision).removesuffix(" (damage)")
-            together = together.replace("failure modes but", "but")
-            together = together.replace("failure modes", "together")
+            together = all_together(decision)
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
         span = _span(text, use.best.low, use.best.high)
