@@ -532,15 +532,8 @@ def _sweep(options: Namespace) -> int:
         made = _points_here(options, sweep, waiting, stop)
         if client is not None:
             model = None if options.model is None else read_model(options.model)
-            start = partial(
-                client.submit,
-                point_files,
-                model,
-                options.processes or 1,
-                _budget(options),
-                pure=False,
-            )
-            made = run_on_cluster(sweep, waiting, start, stop)
+            files_of = partial(point_files, model, options.processes or 1, _budget(options))
+            made = run_on_cluster(sweep, waiting, client, files_of, stop)
         for point in made:
             take_in([point])
     if runs:

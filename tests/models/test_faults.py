@@ -419,22 +419,52 @@ def test_a_model_that_ends_its_process_leaves_the_workers_of_dask(place: Path) -
 def test_a_dask_cluster_that_goes_away_is_told(place: Path) -> None:
     """Its client or its scheduler: exit code 7, and stored answers are not computed again."""
     distributed = pytest.importorskip("distributed")
-    reference = box(place, "time.sleep(0.05)", where="True")
+    reference = box(place, "time.sleep(0.05 * len(x['a']))", where="True")
     for end in ("client", "cluster"):
         cluster = distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
         )
         client = distributed.Client(cluster)
-        went = {"client": client.close, "cluster": cluster.close}[end]
-        threading.Timer(0.2, went).start()
+        seen, close = calls(place), {"client": client.close, "cluster": cluster.close}[end]
+
+        def go(seen: int = seen, close: Callable[[], object] = close) -> None:
+            _until(lambda: calls(place) > seen)
+            close()
+
+        going = threading.Thread(target=go)
+        going.start()
         with (
             Model(study(), reference, executor=client, cache_file=place / end) as model,
             pytest.raises(ExecutorLost, match=r"executor was lost .* continues from there") as lost,
         ):
             model.evaluate(["a"], np.arange(100.0)[:, None], ["y"])
         assert lost.value.exit_code == 7
+        going.join()  # two threads that close a client at once wait for each other
         client.close()
         cluster.close()
+
+
+@pytest.mark.parametrize("status", ["closing", "closed"])
+def test_a_call_that_a_closed_client_does_not_end_is_not_waited_for(status: str) -> None:
+    """One that is submitted while its client is closed: the run waited for ever."""
+
+    class Closing(Executor):
+        def __init__(self) -> None:
+            self.status = "running"
+
+        def get_executor(self, pure: bool) -> Executor:
+            assert not pure
+            return self
+
+        def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+            self.status = status
+            return Future()
+
+    with (
+        Model(study(), rough, executor=Closing()) as model,
+        pytest.raises(ExecutorLost, match="its client was closed"),
+    ):
+        model.evaluate(["a"], ROWS, ["y"])
 
 
 def test_an_executor_that_does_not_answer_is_asked_about(

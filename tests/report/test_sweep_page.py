@@ -1,6 +1,10 @@
 """Sweeps: each point an ordinary run, kept and not repeated; what is refused before any run."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -136,3 +140,31 @@ def test_an_interrupted_sweep_keeps_the_points_that_have_run(
     assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 130
     assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]
     assert "Use at most" in capsys.readouterr().out
+
+
+def test_points_that_a_closed_client_does_not_end_are_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from concurrent.futures import Future
+
+    class Client:
+        def __init__(self) -> None:
+            self.status = "running"
+
+        def __enter__(self) -> Client:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def submit(self, function: Callable[..., Any], study: Any, pure: bool) -> Future[Any]:
+            future = Future[Any]()
+            if self.status == "closed":
+                return future  # it never ends
+            future.set_result(function(study))
+            self.status = "closed"
+            return future
+
+    monkeypatch.setattr("uqsphere.cli._cluster", lambda options: Client())
+    assert main([*SWEEP, "--over", "inputs.c=1, 2", "--dask", "x"]) == 7
+    assert "its client was closed" in capsys.readouterr().err
+    assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]

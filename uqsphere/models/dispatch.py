@@ -15,7 +15,7 @@ from uqsphere.errors import ModelError, tell
 
 from .cache import Cache
 from .rows import Died, NoAnswer, where_of
-from .workers import Timed, result
+from .workers import Timed, executor_lost, result
 
 if TYPE_CHECKING:
     from .model import Model
@@ -83,6 +83,8 @@ def answer_rows(
             now = time.monotonic()
             if ended:
                 heard = now
+            elif model.workers.are_gone:
+                raise executor_lost("its client was closed")
             elif model.executor is not None and now - heard > _SILENCE:
                 heard = now
                 tell(
@@ -124,6 +126,7 @@ def answer_rows(
                     together = places
     finally:
         if running:
-            for future in running:
-                future.cancel()
+            if not model.workers.are_gone:  # its client would wait for a scheduler to cancel them
+                for future in running:
+                    future.cancel()
             model.workers.close()

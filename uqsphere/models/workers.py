@@ -105,8 +105,19 @@ def result(future: Future[Timed]) -> Timed:
         raise _lost(error) from error
 
 
+def is_closed(client: Any) -> bool:
+    """Whether `client` is one of Dask that is closed, as it is without its scheduler: calls that it
+    took meanwhile never end.
+    """
+    return getattr(client, "status", "") in ("closing", "closed")
+
+
 def _lost(error: BaseException) -> ExecutorLost:
-    reason = f"{type(error).__name__}: {as_text(error, 120)}".removesuffix(": ")
+    return executor_lost(f"{type(error).__name__}: {as_text(error, 120)}".removesuffix(": "))
+
+
+def executor_lost(reason: str) -> ExecutorLost:
+    """The error of a run whose executor answers no more."""
     return ExecutorLost(
         f"the executor was lost ({reason}). Answers so far are stored; the same command with a new "
         "executor continues from there"
@@ -280,6 +291,7 @@ class Workers:
 
     def __init__(self, task: Task, executor: Any, limit: float | None) -> None:
         self._task, self._executor, self._limit = task, executor, limit
+        self._client = executor
         self._answer: Any = answer
         if hasattr(executor, "get_executor"):
             # the same call twice is two evaluations, which Dask would not make
@@ -324,6 +336,11 @@ class Workers:
             except ModelError as error:
                 future.set_exception(error)
         return future
+
+    @property
+    def are_gone(self) -> bool:
+        """Whether no call that is waited for will end: the client of the executor was closed."""
+        return is_closed(self._client)
 
     def _call(self, rows: Array) -> Timed:
         with self._lock:

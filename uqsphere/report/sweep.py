@@ -5,6 +5,7 @@ One table and one chart show the number to use and the probability at the plan, 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import re
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from uqsphere.arrays import Names, frozen
 from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
 from uqsphere.models.black_box import ModelFile
+from uqsphere.models.workers import is_closed
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.results import Run, open_run
 from uqsphere.results.folder import locked, sums_of, write_files
@@ -174,12 +176,14 @@ def point_files(
 def run_on_cluster(
     sweep: Sweep,
     points: Sequence[Point],
-    start: Callable[[Study], Any],
+    client: Any,
+    files_of: Callable[[Study], dict[str, bytes]],
     stop: Callable[[], bool],
 ) -> Iterator[Point]:
     """Points whose folders have been written, in the order in which a cluster ends them.
 
-    start : submits `point_files` for a study, and returns its future; stop : asked meanwhile
+    client : of the cluster; files_of : `point_files` of a study, called there; stop : asked
+    meanwhile
 
     Raises FolderError for a folder that is in use or of another study, ExecutorLost where the
     cluster goes away, and what a run raises.
@@ -190,24 +194,40 @@ def run_on_cluster(
         folder = sweep.folder / point.name
         with locked(folder):
             check_owner(folder, point.study, fresh=False)
-    waiting = {point.name: start(point.study) for point in points}
+    with _errors_of_cluster():
+        waiting = {point.name: client.submit(files_of, point.study, pure=False) for point in points}
     while waiting and not stop():
+        # asked before its futures are: what a closed client has not ended by then never ends
+        closed = is_closed(client)
         for point in points:
             if point.name in waiting and waiting[point.name].done():
-                try:
+                with _errors_of_cluster():
                     files = waiting.pop(point.name).result()
-                except (UqsphereError, KeyboardInterrupt):
-                    raise
-                except BaseException as error:  # a cancelled future of Dask is no Exception
-                    raise ExecutorLost(
-                        f"the cluster was lost ({type(error).__name__}). Points that have run are "
-                        "kept; the same command continues"
-                    ) from error
                 write_files(sweep.folder / point.name, files)
                 yield point
+        if waiting and closed:
+            raise _lost_cluster("its client was closed")
         time.sleep(0.05)
     for future in waiting.values():
         future.cancel()
+
+
+@contextlib.contextmanager
+def _errors_of_cluster() -> Iterator[None]:
+    """What a run raises is raised; everything else becomes ExecutorLost."""
+    try:
+        yield
+    except (UqsphereError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # a cancelled future of Dask is no Exception
+        raise _lost_cluster(type(error).__name__) from error
+
+
+def _lost_cluster(reason: str) -> ExecutorLost:
+    return ExecutorLost(
+        f"the cluster was lost ({reason}). Points that have run are kept; the same command "
+        "continues"
+    )
 
 
 def write_sweep(sweep: Sweep) -> Path:
