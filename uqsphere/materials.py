@@ -8,28 +8,11 @@ from uqsphere.arrays import frozen
 from uqsphere.files import Json, packaged
 from uqsphere.units import parse_value
 
+_DECLARED = packaged("properties.toml")
 #: property -> dimension of its unit
-PROPERTIES = {
-    "E": "pressure",
-    "nu": "number",
-    "density": "density",
-    "yield_strength": "pressure",
-    "compressive_strength": "pressure",
-    "tensile_strength": "pressure",
-    "contact_strength": "pressure",
-    "onset_pressure": "pressure",
-    "hardness": "pressure",
-    "weibull_modulus": "number",
-    "fracture_toughness": "toughness",
-    "fracture_energy": "specific_energy",
-}
-#: property -> further keys -> dimension.  A tensile strength holds for a volume under tension; the
-#: median fracture energy of particles of diameter d is value (1 + (size/d)^exponent) (Tavares and
-#: King 1998)
-FURTHER = {
-    "tensile_strength": {"volume": "volume"},
-    "fracture_energy": {"size": "length", "exponent": "number"},
-}
+PROPERTIES: dict[str, str] = _DECLARED["dimensions"]
+#: property -> further keys -> dimension
+FURTHER: dict[str, dict[str, str]] = _DECLARED["further"]
 
 
 @frozen

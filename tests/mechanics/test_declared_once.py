@@ -62,7 +62,7 @@ def test_a_new_failure_mode_is_one_entry(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_no_file_compares_a_rig_with_a_quoted_name() -> None:
-    """Names of rigs stand in `rigs.py`; elsewhere a rig is asked what it is."""
+    """Names of rigs stand in `rigs.toml`; elsewhere a rig is asked what it is."""
     quoted = re.compile(rf'\brig\b[^\n"]{{0,12}}"({"|".join(RIGS)})"')
     places = [
         f"{path.relative_to(PACKAGE)}: {line.strip()}"

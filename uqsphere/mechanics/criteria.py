@@ -12,7 +12,6 @@ from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
 from functools import partial
-from math import inf
 from types import MappingProxyType
 
 import numpy as np
@@ -33,16 +32,7 @@ AUERBACH = 8.6e3
 #: demand, over the largest fracture energy, of energies that break every particle
 _CERTAIN = 1e9
 #: every parameter of every criterion
-PARAMETERS = {
-    name: Quantity(name=name, dimension=dimension, meaning=meaning, lower=lower, upper=upper)
-    for name, dimension, meaning, lower, upper in (
-        ("modulus", "number", "Weibull modulus m", 1.0, 1e3),
-        ("reference_volume", "volume", "volume the strength is measured on", 0.0, inf),
-        ("reference_area", "area", "area the strength is measured on", 0.0, inf),
-        ("largest_energy", "specific_energy", "largest specific fracture energy", 0.0, inf),
-        ("rate_0", "strain_rate", "strain rate at which the strength is doubled", 0.0, inf),
-    )
-}
+PARAMETERS = declared("parameters.toml", Quantity)
 
 
 @frozen

@@ -1,7 +1,7 @@
 """The failure modes of a sphere, declared once: where fracture begins, and which criterion and
 library strength assess a mode that a study has no limit for.
 
-A new mode needs an entry of `FAILURE_MODES`; its strength, unless another mode has it, in
+A new mode needs an entry of ``failure_modes.toml``; its strength, unless another mode has it, in
 `materials.PROPERTIES` and in ``materials.toml``, without which a material is not assessed; and,
 unless there is one, its criterion: an entry of ``criteria.toml`` and a formula in
 `criteria.FORMULAS`.
@@ -13,18 +13,12 @@ from typing import Literal
 from uqsphere.arrays import frozen
 from uqsphere.units import Quantity
 
+from .inputs import declared
+
 
 @frozen
 class FailureMode:
-    """One failure mode.
-
-    place: where fracture begins, as `failure_place` has it.  gloss: what happens, in a clause for
-    who does not know the name.  criterion: key of `CRITERIA` assumed
-    for it.  strength: property of the material library.  size_law: how that strength depends on
-    size: `volume`, a Weibull strength of a reference volume; `particle`, a median that depends on
-    the diameter; empty, not at all.  damage: whether the mode damages the surface, in place of
-    breaking the sphere.
-    """
+    """One failure mode; fields as explained in failure_modes.toml."""
 
     place: str
     name: str
@@ -50,41 +44,7 @@ def modes_by_place(modes: Iterable[FailureMode]) -> dict[str, FailureMode]:
 
 
 #: every failure mode by its place
-FAILURE_MODES = modes_by_place(
-    (
-        FailureMode(
-            place="contact",
-            name="contact crushing",
-            gloss="rock is crushed under a contact",
-            criterion="contact_pressure",
-            strength="contact_strength",
-        ),
-        FailureMode(
-            place="rim",
-            name="ring crack",
-            gloss="a crack in the surface around a contact",
-            criterion="ring_crack",
-            strength="fracture_toughness",
-            damage=True,
-        ),
-        FailureMode(
-            place="core",
-            name="core tension",
-            gloss="the sphere splits by the tension inside it",
-            criterion="weakest_link_volume",
-            strength="tensile_strength",
-            size_law="volume",
-        ),
-        FailureMode(
-            place="energy",
-            name="fracture energy",
-            gloss="the impact stores more energy than particles of this rock bear",
-            criterion="specific_energy",
-            strength="fracture_energy",
-            size_law="particle",
-        ),
-    )
-)
+FAILURE_MODES = modes_by_place(declared("failure_modes.toml", FailureMode).values())
 
 
 def failure_place(quantity: Quantity) -> str:

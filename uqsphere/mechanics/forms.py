@@ -3,49 +3,14 @@
 import re
 from collections.abc import Mapping
 
+from uqsphere.files import packaged
+
 from .rigs import RIGS
 
-_STRUCK = {
-    "thick": "E nu; density",
-    "plate": "E nu density thickness; width",
-    "bar": "E nu density diameter; length end",
-    "mass": "E nu mass; density",
-}
-#: by table and kind: required keys, alternatives separated by a bar; after the semicolon, optional
-#: keys that not every kind of the table has
-FORMS = {
-    "sphere": {"": "E nu density radius"},
-    "insert": {"": "E"},
-    "bars": {
-        "": "E nu density diameter incident_length receiving_length",
-        "infinite": "E nu density diameter; incident_length receiving_length",
-    },
-    "striker": {
-        "": "speed length; E density diameter",
-        "pulse.duration": "speed; length E density diameter",
-        "measured": "",
-    },
-    "pulse": {
-        "rectangular": "; duration",
-        "half_sine": "; duration",
-        "step": "",
-        "trapezoid": "rise fall; duration",
-        "ramp": "rise; duration",
-        "two_peak": "t1 level1 t2 level2; duration valley",
-        "measured": "; gain",
-    },
-    "rig": {name: "speed|drop_height; angle" for name, rig in RIGS.items() if rig.sphere_moves},
-    "target": _STRUCK,
-    "anvil": _STRUCK,
-    "other": {"": "E nu density radius"},
-    "hammer": {
-        "": "E nu mass speed|drop_height; density face_radius",
-        "ball": "E nu density diameter speed|drop_height",
-    },
-    "rod": {"": "E nu density diameter; length"},
-    "platens": {"": "E nu force|displacement"},
-    "contact": {"hertz": "", "plastic": "; onset_pressure hardness pile_up"},
-}
+#: forms by table and kind, as explained in forms.toml
+FORMS: dict[str, dict[str, str]] = packaged("mechanics/forms.toml")
+FORMS["anvil"] = FORMS["target"]
+FORMS["rig"] = {name: "speed|drop_height; angle" for name, rig in RIGS.items() if rig.sphere_moves}
 
 
 def kinds_of(

@@ -4,8 +4,9 @@ A counter-body gives way by its impedance (a bar, a thin plate), by its mass, or
 block, a platen).  Its contact with the sphere has a reduced modulus, a radius and, if it yields, a
 contact law.
 
-A new rig of known tables is one entry of `RIGS`.  A new table also needs its keys in `forms.FORMS`,
-their numbers in ``inputs.toml``, and its keys in a study (`uqsphere.study.document`).
+A new rig of known tables is one entry of ``rigs.toml``.  A new table also needs its keys in
+``forms.toml``, their numbers in ``inputs.toml``, and its keys in a study
+(`uqsphere.study.document`).
 Equation numbers (R...) and (C...) refer to docs/theory.md; SI units.
 """
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from uqsphere.arrays import ColumnMap, Names, Values, frozen
 
+from .inputs import declared
 from .yielding import CAP_PILE_UP, ContactParameters, metal_body, softer
 
 #: keys of the three parameters of a contact law
@@ -78,14 +80,7 @@ STIFFNESS_RATIO = (1e-3, 1e3)
 
 @frozen
 class Rig:
-    """One rig: a set-up that loads the sphere.
-
-    title: as it stands in the description of a study. behind, ahead: tables of the counter-bodies
-    at contacts A and B; empty where the sphere is free. kinds: their kinds; empty where the study
-    chooses (`target.kind`, `anvil.kind`). mover: table with the speed that loads the sphere:
-    `striker`, whose pulse arrives through the bar at A; `rig`, where the sphere itself moves, or
-    `hammer`, for bodies that meet with a speed; empty for slow loading.
-    """
+    """One rig: a set-up that loads the sphere; fields as explained in rigs.toml."""
 
     name: str
     title: str
@@ -131,67 +126,8 @@ class Rig:
         return self.kinds[pole] or str(options.get(f"{table}.kind", "thick"))
 
 
-#: every rig, declared once
-RIGS = {
-    rig.name: rig
-    for rig in (
-        # a sphere between two bars, one of which a striker hits
-        Rig(
-            name="bars",
-            title="between Hopkinson bars",
-            behind="bars",
-            ahead="bars",
-            kinds=("bar", "bar"),
-            mover="striker",
-        ),
-        # a sphere strikes a thick block, a plate, the end of a bar or a free mass
-        Rig(
-            name="impact",
-            title="impact on a body",
-            behind="",
-            ahead="target",
-            kinds=("", ""),
-            mover="rig",
-        ),
-        # a sphere strikes another sphere
-        Rig(
-            name="sphere_on_sphere",
-            title="sphere on sphere",
-            behind="",
-            ahead="other",
-            kinds=("", "mass"),
-            mover="rig",
-        ),
-        # a weight falls on a sphere that rests on an anvil
-        Rig(
-            name="drop_weight",
-            title="drop weight",
-            behind="hammer",
-            ahead="anvil",
-            kinds=("mass", ""),
-            mover="hammer",
-        ),
-        # a weight falls on a sphere that rests on a long rod with a gauge
-        Rig(
-            name="load_cell",
-            title="impact load cell",
-            behind="hammer",
-            ahead="rod",
-            kinds=("mass", "bar"),
-            mover="hammer",
-        ),
-        # a sphere is pressed slowly between two platens
-        Rig(
-            name="platens",
-            title="between platens",
-            behind="platens",
-            ahead="platens",
-            kinds=("platen", "platen"),
-        ),
-    )
-}
-
-
+#: every rig by its name
+RIGS = declared("rigs.toml", Rig)
 #: the rig of a study that names none
 DEFAULT_RIG = "bars"
 
