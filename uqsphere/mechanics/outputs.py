@@ -6,7 +6,7 @@ all of it is in ``criteria.toml``.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial, reduce
 from operator import itemgetter, or_
@@ -264,66 +264,42 @@ def _carries(partner: Partner) -> bool:
     return partner.kind in ("bar", "plate")
 
 
-#: columns that some scenes do not have: the columns, which scenes, and why
-_LACKING: tuple[tuple[str, Callable[[Scene], bool], str], ...] = (
-    (
-        "difference",
-        lambda s: not s.setup.behind,
-        "there is only one contact, so that the imbalance is 1 by definition",
-    ),
-    (
-        "parting touches",
-        lambda s: s.by_wave,
-        "between bars, reflected waves load the sphere again and again",
-    ),
-    ("carried_off", lambda s: s.by_wave, "bars carry waves in both directions; see history"),
-    (
-        "offered leaving parting_speed",
-        lambda s: not s.setup.by_impact,
-        "this rig loads the sphere by a wave or slowly, not by impact",
-    ),
-    (
-        "carried_off",
-        lambda s: (
-            s.setup.by_impact and loss_to_waves(s) is None and not any(map(_carries, s.there))
-        ),
-        "the counter-bodies radiate no waves (for a thick target, set its density)",
-    ),
-    (
-        "parting touches contact duration carried_off",
-        lambda s: s.setup.by_press,
-        "platens load slowly and stay in contact",
-    ),
-    (
-        "rise",
-        lambda s: (
-            s.setup.by_press
-            and s.columns.keys().isdisjoint(("platens.speed", "platens.loading_rate"))
-        ),
-        'the platens have no speed; set speed, for example "1 mm/min", or loading_rate',
-    ),
-    (
-        "x_first",
-        lambda s: not s.by_wave and not any(np.any(one.reflection) for one in s.there),
-        "no reflected wave returns to the sphere",
-    ),
-    (
-        "dent_left dissipated",
-        lambda s: all(one.face is None for one in s.there),
-        'both bodies are elastic; set contact.law = "plastic"',
-    ),
-)
-
-
 def absent_in(scene: Scene, quantity: str) -> str:
     """Why a scene does not have a quantity of interest, in words; empty if it has it."""
     roots = _roots([quantity], scene.demands)
     missing = sorted({name for name in roots if "." in name} - scene.columns.keys())
     if missing:
         return f"{quantity} needs {' and '.join(missing)}; add them to the study"
-    for names, applies, why in _LACKING:
-        if not roots.isdisjoint(names.split()) and applies(scene):
-            return why
+    rig = scene.setup
+
+    def rests_on(*columns: str) -> bool:
+        return not roots.isdisjoint(columns)
+
+    if rests_on("difference") and not rig.behind:
+        return "there is only one contact, so that the imbalance is 1 by definition"
+    if rests_on("parting", "touches") and scene.by_wave:
+        return "between bars, reflected waves load the sphere again and again"
+    if rests_on("carried_off") and scene.by_wave:
+        return "bars carry waves in both directions; see history"
+    if rests_on("offered", "leaving", "parting_speed") and not rig.by_impact:
+        return "this rig loads the sphere by a wave or slowly, not by impact"
+    if (
+        rests_on("carried_off")
+        and rig.by_impact
+        and loss_to_waves(scene) is None
+        and not any(map(_carries, scene.there))
+    ):
+        return "the counter-bodies radiate no waves (for a thick target, set its density)"
+    if rests_on("parting", "touches", "contact", "duration", "carried_off") and rig.by_press:
+        return "platens load slowly and stay in contact"
+    timed = {"platens.speed", "platens.loading_rate"} & scene.columns.keys()
+    if rests_on("rise") and rig.by_press and not timed:
+        return 'the platens have no speed; set speed, for example "1 mm/min", or loading_rate'
+    if rests_on("x_first") and not (scene.by_wave or np.any(scene.reflections)):
+        return "no reflected wave returns to the sphere"
+    faces = [partner.face for partner in scene.there]
+    if rests_on("dent_left", "dissipated") and not any(faces):
+        return 'both bodies are elastic; set contact.law = "plastic"'
     return ""
 
 

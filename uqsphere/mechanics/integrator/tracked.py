@@ -12,7 +12,7 @@ A new answer of a row needs
               and `OF_BOTH`
     outside   `closed_form` for scenes that it answers in place of the integrator; ``outputs.toml``
               and a formula in `outputs`, which reads it by its name (`answer_columns`), and
-              `outputs._LACKING` for scenes without it
+              `outputs.absent_in` for scenes without it
 """
 
 from __future__ import annotations
