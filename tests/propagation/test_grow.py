@@ -123,6 +123,10 @@ def test_a_target_is_met_once_the_sample_leaves_no_room_for_failures_unseen() ->
     assert failure["value"] == pytest.approx(3.3977e-6, rel=0.05)
     assert failure["high_unseen"] < 5e-5
     assert run.results.accuracy.stopped == "accurate"
+    [check] = run.results.checks
+    assert check.grade == "note"
+    assert check.text == "fails: failures that the search has not met are not in the interval"
+    assert check.effect == "with them the failure probability is below 0.005 %"
 
 
 def estimate(value: float, low: float, high: float, runs: int) -> Estimate:

@@ -181,6 +181,19 @@ def test_an_island_off_the_path_of_the_search_is_never_sure_and_wrong(radius: fl
     assert met >= 5
 
 
+def test_few_failures_that_no_second_method_meets_leave_room_for_others() -> None:
+    # a strip; it was 1.6e-6 (1.9e-7 to 1.4e-5)
+    def limit(u: np.ndarray) -> np.ndarray:
+        along = (u[:, 0] + 0.3 * u[:, 1]) / np.hypot(1.0, 0.3)
+        return np.where(np.abs(along - 3.094) < 0.029, -1.0, 1.0)
+
+    truth = float(ndtr(-3.065) - ndtr(-3.123))
+    for seed in (1, 6):
+        found = failure_probability(Evaluator(limit, 2, budget=8000, seed=seed))
+        assert "no second method" in found.warning
+        assert found.estimate.low < truth < found.estimate.high
+
+
 def test_plain_samples_that_a_search_does_not_explain_set_the_value() -> None:
     # it was that of the plane, 1e-6, in an interval to 2e-3
     def limit(u: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from uqsphere.uq.estimate import count_bound
 
 from .decision import Settled
 from .design import Design
-from .limits import failure_given_inputs
+from .limits import failure, failure_given_inputs
 from .line import Line, plan_of
 from .tables import Slow, Tables, input_rows
 
@@ -108,6 +108,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
                 "these leave too much of the variance, or the model fails",
                 effect="more runs, or a narrower margins.between, may give them",
             )
+    yield from _searches(tables)
     yield from _heavy_tails(tables)
 
 
@@ -178,6 +179,21 @@ def _out_of_reach(design: Design, rows: np.ndarray) -> Iterator[Check]:
                 "hardness, which no pressure exceeds",
                 effect='such spheres never break by it: set strength_is = "hertz" if it was '
                 "computed from a force, else measure the hardness",
+            )
+
+
+def _searches(tables: Tables) -> Iterator[Check]:
+    """Failure probabilities that rest on the failures that a search has met."""
+    for limit in tables.design.limits:
+        estimate = failure(tables, limit)
+        searched = tables.rare.get(limit.name)
+        if searched and estimate.value and estimate.method == searched.estimate.method:
+            bound = format_probability(None, estimate.outer[1])
+            yield Check(
+                name="search",
+                grade="warning" if searched.warning else "note",
+                text=f"{limit.name}: failures that the search has not met are not in the interval",
+                effect=searched.warning or f"with them the failure probability is {bound}",
             )
 
 

@@ -93,7 +93,7 @@ def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tabl
             # those of the last search, and the last that were drawn nearby since
             draws[not result.searched :] = [result.draws]
         point = _physical(design, limit, answered, result.points)
-        answers[limit.name] = Searched(estimate=result.estimate, design_point=point)
+        answers[limit.name] = Searched(result.estimate, point, result.warning)
     return replace(tables, rare=answers)
 
 

@@ -58,10 +58,12 @@ class Accuracy(NamedTuple):
 
 
 class Searched(NamedTuple):
-    """A failure probability by a search, with its design point (SI) by variable."""
+    """A failure probability by a search, with its design point (SI) by variable, and why the
+    interval may not be believed; empty where two methods agree."""
 
     estimate: Estimate
     design_point: Mapping[str, float]
+    warning: str = ""
 
 
 @bundle

@@ -218,7 +218,7 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
         if answer.trusted and sampled.low <= (other.high or 1.0):
             return sampled, ""
         warning = f"subset simulation: {other.reason}; importance sampling has no second method"
-        return sampled, warning
+        return sampled.holding(other), warning
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
     slack = 1.5 * math.log(other.high / other.value) + math.log(sampled.high / sampled.low)
     excess = math.log(sampled.value / other.value)

@@ -33,7 +33,7 @@ from ..estimate import (
 from .form import DesignPoint
 from .problem import MOST_DIMENSIONS, Evaluator, log_normal_density
 
-METHOD = "importance sampling, mixture with randomised Sobol' points"
+METHOD = "importance sampling where failures were met, mixture with randomised Sobol' points"
 #: least standard error on a hard limit, over that of independent points: stopping when the
 #: replicates happen to agree would make the interval too short (tests/campaigns/rare.py)
 HARD = 0.7
