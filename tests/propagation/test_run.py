@@ -443,6 +443,32 @@ def test_rows_that_fail_are_never_survival(policy: str) -> None:
     assert any(check.name == "failed_rows" for check in run.results.checks)
 
 
+def test_bounds_of_failed_rows_are_values_and_hold_the_scatter_of_their_number() -> None:
+    """Quantiles lay half-way between whole numbers; a margin had the share of its rows as exact."""
+
+    def model(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        y = np.round(x["v"] + x["a"])
+        return {"y": np.where(y > 4.0, np.nan, y)}
+
+    coarse = {"mean": 0.1, "quantile": 0.5, "sobol": 0.5, "probability": 0.5}
+    run = uqsphere.run(
+        study(
+            3.5,
+            inputs={"v": 2.5, "a": NORMAL},
+            margins={"solve": "v", "between": [0.0, 4.0], "for_probability": [0.05]},
+            analysis={"on_failure": "bound", "accuracy": coarse, "quantiles": [0.5, 0.85, 0.95]},
+        ),
+        model,
+    )
+    rows = run.results.answers
+    quantiles = [row.value for row in rows if row.answer == "quantile" and row.value is not None]
+    assert quantiles
+    assert all(value.is_integer() for value in quantiles)
+    margin = next(row for row in rows if row.answer == "margin" and row.at == 0.05)
+    assert margin.low_unseen < margin.low < margin.high < margin.high_unseen
+    assert margin.low_unseen < 3.5 + stats.norm.ppf(0.05) < margin.high_unseen
+
+
 @pytest.mark.parametrize(
     "analysis",
     [

@@ -88,7 +88,7 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
 
     if not lost.any():
         return fitted()
-    # of the rows that answered, between what it is if the others had all been on either side
+    # between what it is if as many as may fail had all been on either side
     bounds = fitted(-lost[:, None]), fitted(lost[:, None])
     return fitted().allowing(bounds)
 
@@ -99,7 +99,7 @@ def _along(
     """Mean probabilities (3, K, R) of exceedance of a limit at each value of a line: as computed,
     and where as few and as many as possible exceed of the rows whose record ended too early or that
     failed.  Beside them how many rows carry them, or their complement if fewer do (K,), and the
-    shares (K,) that may fail and are left out.
+    shares (K,) that may fail beyond those that are counted.
     """
     means = []
     lost = []
@@ -111,13 +111,16 @@ def _along(
         carrying.append(min(carriers(exceeded), carriers(held)))
         mean = exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1)
         least = most = mean
+        missed = lost_share(state.broken)
+        if state.on_failure == "bound":
+            missed -= state.broken.mean()
         if state.on_failure == "bound" or state.late.any():
             moved = replace(state, demands=factor * state.demands)
             least, most = (
                 np.nanmean(exceedance(moved, survive), axis=1) for survive in (False, True)
             )
         means.append([mean, least, most])
-        lost.append(lost_share(state.broken) * (state.on_failure == "drop"))
+        lost.append(missed)
     return np.moveaxis(np.array(means), 1, 0), carrying, np.array(lost)
 
 

@@ -208,10 +208,12 @@ def quantile_estimates(
     kept = ~failed | (on_failure == "bound")
     # doubtful samples at the least and at the largest value they may have had
     least = np.where(failed, -inf, samples)
-    read = sample_reader(np.sort(least[kept]))
+    ordered = np.sort(least[kept])
+    read = sample_reader(ordered)
     upper = sample_reader(np.sort(np.where(failed | censored, inf, samples)[kept]))
     counts = kept.sum(axis=1)
     lost = lost_share(~kept)
+    levels = ordered[np.isfinite(ordered)]
     answers = {}
     for p in quantiles:
         if min(p, 1.0 - p) * counts.sum() < LEAST_BEYOND:
@@ -228,7 +230,11 @@ def quantile_estimates(
                 f"({100.0 * (failed & kept).mean():.2f} %)"
             )
             answers[p] = absent(reason, method, total)
-        elif lost:
+        elif takes_few_values(levels):
+            # half-way between what failed rows allow may be no value that there is
+            value = float(nearest_of(levels, levels, np.array(answers[p].value)))
+            answers[p] = replace(answers[p], value=value)
+        if lost and answers[p].value is not None:
             half = student(len(samples)) * error + lost
             answers[p] = replace(
                 answers[p],
