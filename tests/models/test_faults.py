@@ -248,6 +248,25 @@ Model(load_study(text={STUDY!r}), {reference!r}).evaluate(["a"], np.zeros((1, 1)
     _until(lambda: not _running(f"sleep\0{mark}"))
 
 
+@pytest.mark.parametrize("end", ["os._exit(7)", "os.kill(os.getpid(), 9)", "time.sleep(99)"])
+def test_what_a_model_has_forked_is_not_waited_for(place: Path, end: str) -> None:
+    """A fork holds what its parent has open: a process that ends, or is ended, is not seen to end
+    by the end of its stream alone.
+    """
+    body = f"""if os.fork(): {end}
+        os.setsid()
+        for _ in range(300):
+            time.sleep(0.1)
+            if os.path.exists({str(place / "over")!r}): os._exit(0)
+        open({str(place / "outlived")!r}, "w")
+        os._exit(0)"""
+    lines = ["time_limit = '0.2 s'"] if "sleep" in end else []
+    with Model(study(*lines), box(place, body), threads=1) as model:
+        assert model.evaluate(["a"], ROWS[2:3], ["y"]).status.tolist() == [FAILED]
+    (place / "over").touch()
+    assert not (place / "outlived").exists()
+
+
 def _running(command: str) -> bool:
     for entry in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):

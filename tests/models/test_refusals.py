@@ -142,7 +142,7 @@ REASONS: dict[str, tuple[Callable[[], object], str, Callable[[], object]]] = {
     ),
     "a file that is not there": (
         lambda: Model(BOX, "nothing.py:f"),
-        "the model file nothing.py cannot be read",
+        "nothing.py: there is no such file",
         lambda: Model(BOX, "nothing.py"),
     ),
     "an input that is not there": (

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from uqsphere.documents import TomlTable
+from uqsphere.documents import Fault, TomlTable, unknown
 from uqsphere.materials import materials_of
 from uqsphere.units import parse_value
 
@@ -44,7 +44,7 @@ def from_library(raw: Any, *kinds: str) -> Any:
         return raw
     materials = materials_of(*kinds)
     if str(raw["material"]) not in materials:
-        raise ValueError(f"material must be one of {', '.join(materials)}, not {raw['material']!r}")
+        raise Fault(unknown("material", raw["material"], materials), "material")
     properties = materials[raw["material"]].properties
     known = {key: properties[key].text for key in ("E", "nu", "density") if key in properties}
     return known | raw

@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, Names, is_labelled
-from uqsphere.errors import AccessError, ModelError, ModelRaised, UsageError, as_text
+from uqsphere.errors import ModelError, ModelRaised, UsageError, as_text
+from uqsphere.files import read_given
 
 #: takes columns (n,) by the names of the inputs; returns columns (n,) by the names of the outputs
 #: as a dict or a DataFrame, an array (n, outputs) in the order of the study's outputs, or (n,)
 #: where there is one output
 BlackBox = Callable[[dict[str, Array]], Any]
+#: bytes of a model file that is read
+_LARGEST = 32 << 20
 
 
 @dataclass(frozen=True)
@@ -64,17 +67,13 @@ class ModelFile:
 def read_model(reference: str) -> ModelFile:
     """The file and function of "FILE.py:FUNCTION".
 
-    Raises UsageError for another form; AccessError for a file that cannot be read.
+    Raises UsageError for another form; and as `read_given`.
     """
     file, _, name = reference.rpartition(":")
     if not file.endswith(".py") or not name.isidentifier():
         raise UsageError(f"the model must be FILE.py:FUNCTION, not {as_text(reference, 120)!r}")
-    try:
-        return ModelFile(Path(file).resolve(), name, Path(file).read_bytes())
-    except OSError as error:
-        raise AccessError(
-            f"the model file {as_text(file)} cannot be read: {error.strerror}"
-        ) from error
+    path = Path(file)
+    return ModelFile(path.resolve(), name, read_given(path, _LARGEST))
 
 
 def identity_of(box: ModelFile | BlackBox) -> bytes:

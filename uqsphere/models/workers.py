@@ -133,8 +133,8 @@ def serve(parent: int) -> None:
     requests = os.fdopen(os.dup(0), "rb")
     replies = os.fdopen(os.dup(1), "wb")
     # both ways to the parent are out of the model's reach: it reads nothing, and prints to stderr
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nothing, 0)
     with contextlib.suppress(OSError):
         os.dup2(2, 1)
 
@@ -143,8 +143,14 @@ def serve(parent: int) -> None:
             time.sleep(1.0)
         os.killpg(0, signal.SIGKILL)  # and what the model has started
 
+    def let_go() -> None:
+        for stream in (requests, replies):
+            os.dup2(nothing, stream.fileno())
+
     if hasattr(os, "killpg"):
         threading.Thread(target=end_with_parent, daemon=True).start()
+        # the parent waits for the end of a stream, which a process forked by the model may outlive
+        os.register_at_fork(after_in_child=let_go)
     try:
         _send("started", replies)
         packed = pickle.load(requests)

@@ -218,7 +218,7 @@ def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
     if stored.study.hash == study.hash:
         return
     # what differs is named where the stored study can be read
-    with contextlib.suppress(OSError, UqsphereError):
+    with contextlib.suppress(UqsphereError):
         keys = stored_study(folder, stored).changed_keys(study)
         names = ", ".join(keys[:SHOWN_CHANGES])
         if len(keys) > SHOWN_CHANGES:

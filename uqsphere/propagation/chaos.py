@@ -296,7 +296,7 @@ def by_chaos(design: Design, expansion: Expansion) -> Indices:
         total = _index(expansion, active[:, k], integrals.shares[1, k], least, everything)
         if first.value is not None and total.value is not None and total.value < first.value:
             # a total index is no smaller: the difference is noise of the correction
-            total = replace(total, value=min(first.value, total.high or 1.0))
+            total = replace(total, value=min(first.value, total.high or 0.0))
         indices[name] = first, total
     if not design.analysis.second_order:
         return indices

@@ -420,7 +420,8 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         high = computed.high
         if computed.reason:
             _, high = computed.outer
-        at_plan = high or at_plan
+        if high is not None:
+            at_plan = high
         # tests that are carried over in another way than by the limit that counts as fracture
         if any(limit in group[1:] for group in aim.groups):
             code = "carrier"

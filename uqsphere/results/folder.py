@@ -14,7 +14,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from uqsphere.errors import AccessError, FolderError, as_text
+from uqsphere.errors import AccessError, FolderError, UqsphereError, as_text
+from uqsphere.files import read_given
 
 from .types import Results
 
@@ -67,7 +68,9 @@ def locked(folder: Path) -> Iterator[None]:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         folder.mkdir(parents=True, exist_ok=True)
-        strange = {name for name in os.listdir(folder) if not name.startswith(PART)} - OWN
+        found = {name for name in os.listdir(folder) if not name.startswith(PART)}
+        # a study or a page of the user's own may have the name of ours
+        strange = found - (UNLISTED if found.isdisjoint((SUMS, RESULTS)) else OWN)
         if strange:
             raise FolderError(
                 f"{as_text(folder)} contains {min(strange)!r}, which uqsphere did not write. "
@@ -92,8 +95,8 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files whole: all of them beside their places first, then moved there; the checksums are
     the last.  With the results of a run, earlier files that are not written again are removed.
 
-    Raises AccessError where the system refuses (a full disk, no permission); the files before are
-    then unchanged.
+    Raises FolderError where a file was not written here, AccessError where the system refuses (a
+    full disk, no permission); the files before are then unchanged.
     """
     before = sums_of(folder)
     kept = HISTORY if RESULTS in files else before.keys()
@@ -105,6 +108,12 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     contents[SUMS] = "".join(
         f"{digest}  {name}\n" for name, digest in sorted(sums.items())
     ).encode()
+    for name in contents.keys() - before.keys() - {SUMS}:
+        if os.path.lexists(folder / name):
+            raise FolderError(
+                f"{as_text(folder / name)} exists, and uqsphere did not write it. Move it, or "
+                "choose another directory with --out"
+            )
     with _accessing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
@@ -151,8 +160,8 @@ def read_checked(folder: Path, name: str) -> bytes:
 def sums_of(folder: Path) -> dict[str, str]:
     """Checksums by file; none where there is no such list."""
     sums = {}
-    with contextlib.suppress(OSError, ValueError):
-        for line in (folder / SUMS).read_text(encoding="utf-8").splitlines():
+    with contextlib.suppress(UqsphereError, ValueError):
+        for line in read_given(folder / SUMS, LARGEST).decode().splitlines():
             digest, _, name = line.partition("  ")
             sums[name] = digest
     return sums
@@ -199,8 +208,8 @@ def _writer(content: bytes) -> str:
 
 
 def damaged_files(folder: Path) -> list[str]:
-    """Files whose checksum differs from `SHA256SUMS`, that are missing, or that have none; empty
-    where the folder is whole.
+    """Files whose checksum differs from `SHA256SUMS`, that are missing, cannot be read, or have
+    none; empty where the folder is whole.
 
     The log and the cache of answers have no checksum here.  Raises FolderError without checksums.
     """
@@ -210,16 +219,19 @@ def damaged_files(folder: Path) -> list[str]:
             f"{as_text(folder)} does not contain {SUMS}: it is not a results directory, or an "
             "unfinished one"
         )
-    wrong = [
-        name
-        for name, digest in sums.items()
-        if not _is_inside(folder, name)
-        or hashlib.sha256((folder / name).read_bytes()).hexdigest() != digest
-    ]
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if not path.is_dir() and name not in sums.keys() | UNLISTED:
-            wrong.append(f"{name} (has no checksum)")
+    wrong = []
+    for name in sums:
+        try:
+            read_checked(folder, name)
+        except FolderError:
+            wrong.append(as_text(name))
+        except AccessError as error:
+            wrong.append(str(error))
+    with _accessing(folder):
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder).as_posix()
+            if not path.is_dir() and name not in sums.keys() | UNLISTED:
+                wrong.append(f"{as_text(name)} (has no checksum)")
     return wrong
 
 

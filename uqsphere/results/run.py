@@ -196,10 +196,11 @@ class Run:
 
 
 def stored_study(folder: Path, results: Results) -> Study:
-    """The study that a result folder keeps beside its results; raises OSError, StudyError."""
+    """The study that a result folder keeps beside its results; raises as `read_checked`, StudyError.
+    """
     from uqsphere.study import load_study
 
-    text = (folder / "study.toml").read_text(encoding="utf-8")
+    text = read_checked(folder, "study.toml").decode()
     return load_study(folder / "files" / "study.toml", results.study.overrides, text=text)
 
 

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from uqsphere.documents import Fault
 from uqsphere.labs.files import (
     Density,
     Length,
@@ -118,8 +119,8 @@ class TestsTable(Section):
         if measured in ("specific_energy", "energy") and not self.energy_is:
             raise ValueError('energy_is is required: "sphere", "contact" or "input"')
         if isinstance(self.gamma, float) and not 0.5 < self.gamma < 50.0:
-            raise ValueError(
-                f"gamma must be between 0.5 and 50 (published: 3 to 5.4), not {self.gamma:g}"
+            raise Fault(
+                f"must be between 0.5 and 50 (published: 3 to 5.4), not {self.gamma:g}", "gamma"
             )
         return self
 
@@ -153,7 +154,7 @@ class SizesTable(Section):
         }[self.law]
         missing = [key for key in needs if not getattr(self, key)]
         if missing:
-            raise ValueError(f'law = "{self.law}" requires {" and ".join(missing)}')
+            raise Fault(f'law = "{self.law}" requires {" and ".join(missing)}', "law")
         return self
 
 

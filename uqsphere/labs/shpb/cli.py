@@ -1,6 +1,8 @@
 """`uqsphere shpb records | fit-contact | plan`."""
 
+import os
 from argparse import Namespace
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,26 +15,31 @@ from .document import RecordDocument
 
 def _records(chosen: Namespace) -> int:
     """Every input file: its sheet; of several also tests.csv, one line a test; exit code 2 if no
-    record can be read.
+    record can be read.  Files of one name are told apart by their folders.
     """
     from . import sheet
     from .mending import load_record
     from .waves import read_test
 
     several = len(chosen.file) > 1
+    stems = Counter(path.stem for path in chosen.file)
+    home = os.path.commonpath([path.resolve().parent for path in chosen.file])
     records = dict[Path, str]()
     lines = []
     texts = []
     files = dict[str, str]()
     contents = list[JsonObject]()
     for path in chosen.file:
+        name = path.stem
+        if stems[name] > 1:
+            name = path.resolve().relative_to(home).as_posix()
         asked = load_document(path, RecordDocument)
         try:
             test = read_test(load_record(asked, path.parent))
         except UsageError as error:
             if not several:
                 raise
-            lines.append((path.stem, "", "", "", "", f"refused: {error}"))
+            lines.append((name, "", "", "", "", f"refused: {error}"))
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
             continue
@@ -50,9 +57,9 @@ def _records(chosen: Namespace) -> int:
         if asked.specimen.diameter:
             diameter = f"{asked.specimen.diameter * 1e3:.6g}"
         forces = [f"{force * 1e-3:.5g}" for force in (peak.value, peak.low, peak.high)]
-        lines.append((path.stem, diameter, *forces, "; ".join(peak.doubts)))
-        folder = f"{path.stem}/" if several else ""
-        files |= {folder + name: text for name, text in sheet.written(test, asked).items()}
+        lines.append((name, diameter, *forces, "; ".join(peak.doubts)))
+        folder = f"{name}/" if several else ""
+        files |= {folder + file: text for file, text in sheet.written(test, asked).items()}
     content = contents[0]
     if several:
         files["tests.csv"] = csv_text(

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from uqsphere.documents import Fault, within
 from uqsphere.labs.files import (
     Density,
     Force,
@@ -17,6 +18,7 @@ from uqsphere.labs.files import (
     Speed,
     Time,
     from_library,
+    in_unit,
 )
 from uqsphere.units import parse_value
 
@@ -111,7 +113,7 @@ class RecordTable(Section):
     reflected: Columns = ()
     receiving: Columns = ()
     time_unit: str = ""
-    sample_interval: Time = 0.0
+    sample_interval: Annotated[Positive, in_unit("time")] = 0.0
     aligned: bool = False
     polarity: Literal["auto", "tension", "compression"] = "auto"
     striker_speed: Speed | None = None
@@ -165,8 +167,10 @@ class RecordDocument(Section):
         """Complete the receiving bar by the incident one, and materials by their numbers."""
         if not isinstance(data.get("incident_bar"), dict):
             return data
-        incident = from_library(data["incident_bar"], "bars")
-        receiving = from_library(data.get("receiving_bar", {}), "bars")
+        with within("incident_bar"):
+            incident = from_library(data["incident_bar"], "bars")
+        with within("receiving_bar"):
+            receiving = from_library(data.get("receiving_bar", {}), "bars")
         if isinstance(receiving, dict):
             shared = {key: value for key, value in incident.items() if key != "gauge"}
             receiving = shared | receiving
@@ -177,7 +181,9 @@ class RecordDocument(Section):
         for name in ("incident_bar", "receiving_bar"):
             bar = getattr(self, name)
             if bar.length and bar.gauge > bar.length:
-                raise ValueError(
-                    f"{name}.gauge must be on the bar of {bar.length:g} m, not at {bar.gauge:g} m"
+                raise Fault(
+                    f"must be on the bar of {bar.length:g} m, not at {bar.gauge:g} m",
+                    name,
+                    "gauge",
                 )
         return self

@@ -303,7 +303,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
     if guessed and interval > 0.0:
         changes.add("read", f"no time column: a sample every {interval * 1e6:.6g} us")
         return interval * np.arange(len(table), dtype=float), -1
-    place = table.place(asked.time or 1)
+    place = table.place(1 if asked.time is None else asked.time)
     column = columns[place]
     dimension, unit = column.unit(column.time_unit)
 

@@ -211,20 +211,20 @@ def _certify(answer: ImportanceAnswer, other: Estimate) -> tuple[Estimate, str]:
     and a warning.
     """
     sampled = answer.estimate
-    if not (sampled.value and sampled.low and sampled.high):
+    if sampled.value is None or sampled.low is None or sampled.high is None:
         warning = f"importance sampling: {sampled.reason}; subset simulation has no second method"
         return _bound(other), warning
-    if not (other.value and other.high):
+    if other.value is None or other.high is None:
         if answer.trusted and sampled.low <= (other.high or 1.0):
             return sampled, ""
         warning = f"subset simulation: {other.reason}; importance sampling has no second method"
         return sampled.holding(other), warning
     # 95 % intervals of four repetitions, half as wide again: a disagreement should mean something
-    slack = 1.5 * math.log(other.high / other.value) + math.log(sampled.high / sampled.low)
-    excess = math.log(sampled.value / other.value)
-    if answer.trusted and excess >= -slack:
+    reach = (other.value / other.high) ** 1.5 * (sampled.low / sampled.high)
+    ratio = sampled.value / other.value
+    if answer.trusted and ratio >= reach:
         warning = ""
-        if excess > slack:
+        if ratio * reach > 1.0:
             # what trusted weights show is there; chains may well have missed it
             warning = f"subset simulation missed a part of the failures: {other.value:.3g}"
         return sampled, warning
@@ -259,7 +259,7 @@ def _bound(single: Estimate) -> Estimate:
     """What subset simulation says by itself: a bound, since its chains may have missed most of the
     failures.
     """
-    if not (single.value and single.high):
+    if single.value is None or single.high is None:
         return single
     high = min(1.0, UNCERTIFIED * single.high)
     reason = (
