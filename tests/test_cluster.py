@@ -110,3 +110,11 @@ def test_the_impact_model_is_not_sent_to_a_cluster(capsys: pytest.CaptureFixture
     assert main(["new", "granite"]) == 0
     assert main(["run", "granite.toml", "--dask", "tcp://127.0.0.1:1"]) == 2
     assert "A sweep distributes its points" in capsys.readouterr().err
+
+
+def test_a_file_of_another_kind_is_no_scheduler_file(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed")
+    assert main(["new", "ishigami"]) == 0
+    words = ["run", "ishigami.toml", "--model", "ishigami.py:ishigami"]
+    assert main([*words, "--dask", "ishigami.py"]) == 2
+    assert "--dask: no scheduler at ishigami.py (" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -108,6 +109,67 @@ def test_every_change_of_a_folder_is_found(folder: Path) -> None:
         assert damaged_files(folder) == []
     (folder / "figures" / "more.svg").write_text("<svg/>")
     assert damaged_files(folder) == ["figures/more.svg (has no checksum)"]
+
+
+@pytest.mark.parametrize("kind", ["directory", "pipe", "link", "loop", "missing"])
+def test_what_stands_in_the_place_of_a_file_is_found(
+    folder: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = folder / "answers.csv"
+    path.unlink()
+    if kind == "directory":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind != "missing":
+        path.symlink_to(path.name if kind == "loop" else "nowhere")
+    assert damaged_files(folder) == ["answers.csv"]
+    assert main(["verify", str(folder)]) == 5
+    assert "damaged or missing: answers.csv" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_read_is_listed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read = Path.read_bytes
+
+    def refusing(path: Path) -> bytes:
+        if path.name == "answers.csv":
+            raise PermissionError(13, "Permission denied")
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refusing)
+    (folder / "figures" / "more.svg").touch()
+    assert main(["verify", str(folder)]) == 5
+    told = capsys.readouterr().err
+    assert f"missing: {folder / 'answers.csv'}: Permission denied, figures/more.svg (has" in told
+
+
+def test_a_pipe_in_the_place_of_the_checksums_is_not_waited_for(folder: Path) -> None:
+    (folder / "SHA256SUMS").unlink()
+    os.mkfifo(folder / "SHA256SUMS")
+    with pytest.raises(FolderError, match="does not contain SHA256SUMS"):
+        damaged_files(folder)
+
+
+def test_names_in_the_checksums_are_printed_without_control_characters(folder: Path) -> None:
+    with (folder / "SHA256SUMS").open("a") as sums:
+        sums.write("0  \x1b[2J\0\n")
+    assert damaged_files(folder) == ["?[2J?"]
+
+
+@pytest.mark.parametrize("name", ["study.toml", "report.html"])
+def test_a_file_of_the_user_with_the_name_of_ours_stays(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also with --fresh, which removes what an earlier run left."""
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(FolderError, match=f"contains '{name}', which uqsphere did not write"):
+        uqsphere.run(study(), model, out=tmp_path, fresh=True)
+    assert content(tmp_path) == {name: b"mine"}
+    with pytest.raises(FolderError, match=f"{name} exists, and uqsphere did not write it"):
+        write_files(tmp_path, {name: "ours"})
+    assert content(tmp_path) == {name: b"mine"}
 
 
 def test_samples_are_read_as_they_were_written(folder: Path) -> None:

@@ -363,8 +363,8 @@ def _cluster(options: Namespace) -> Any:
     key = "scheduler_file" if Path(options.dask).is_file() else "address"
     try:
         return client_of(**{key: options.dask}, timeout="20s")
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--dask: no scheduler at {options.dask} ({error})") from None
+    except Exception as error:  # a file of another kind can raise anything
+        raise UsageError(f"--dask: no scheduler at {options.dask} ({error!r})") from None
 
 
 # --- commands -------------------------------------------------------------------------------------

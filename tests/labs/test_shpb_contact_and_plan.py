@@ -217,13 +217,24 @@ def test_what_a_plan_cannot_use_is_refused(
     for line, match in (
         ('free = "striker.mass"', "free must be a number of the study"),
         ('between = ["1 kg", "2 kg"]', "between"),
-        ('limits = ["none"]', "no limit of the study means fracture"),
+        ('between = ["0 m/s", "2 m/s"]', "between[0]: striker speed must be above 0 m/s"),
+        ('free = "sphere.nu"', "between[1]: Poisson ratio of the sphere must be between"),
+        ('limits = ["none"]', 'unknown limit that means fracture "none", known: crushing'),
+        ('limits = ["crushing", "none"]', 'unknown limit that means fracture "none"'),
         ("rows = 3", "rows"),
         ("shares = [0.1, 1.5]", "shares"),
     ):
         (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
         assert main(["shpb", "plan", str(tmp_path / "plan.toml")]) == 2
         assert match in capsys.readouterr().err
+
+
+def test_a_plan_tells_what_a_run_warns_of(tmp_path: Path) -> None:
+    (tmp_path / "ball.toml").write_text(STUDY.format(E='"0.6 GPa"'))
+    asked = PlanDocument(study="ball.toml", rows=64, points=2, between=("0.05 m/s", "2 m/s"))
+    warnings = uqsphere.load_study(tmp_path / "ball.toml").warnings
+    assert "0.6 GPa is unusual" in "".join(warnings)
+    assert {*warnings} <= {*plan_test(asked, tmp_path)["notes"]}
 
 
 PELLETS = """
@@ -280,12 +291,58 @@ def test_plan_and_run_give_the_same_heights_for_tests_of_spheres_whose_modulus_s
         assert height == pytest.approx(margin, rel=0.03)
 
 
+BAR = """
+[incident_bar]
+material = "steel"
+diameter = "20 mm"
+length = "1 m"
+gauge = "0.5 m"
+[receiving_bar]
+gauge = "0.4 m"
+[record]
+file = "x.csv"
+"""
+
+
 @pytest.mark.parametrize(
     ("lab", "text", "says"),
     [
         (ContactDocument, 'file = "x.csv"\ndiameter = "1 mm"\nplatens = "stel"', "mean 'steel'"),
         (PlanDocument, 'study = "s.toml"\nbetween = []', "between[1]: a value is missing here"),
-        (RecordDocument, '[incident_bar]\nmaterial = ["steel"]', "material must be one of"),
+        (
+            RecordDocument,
+            'title = ""\n[incident_bar]\nE = "1 GPa"\nmaterial = ["steel"]',
+            "lab.toml:4: incident_bar.material: unknown material an array of 1, known: ",
+        ),
+        (
+            RecordDocument,
+            '[incident_bar]\n[receiving_bar]\nmaterial = "stel"',
+            'lab.toml:3: receiving_bar.material: unknown material "stel"',
+        ),
+        (
+            RecordDocument,
+            BAR.replace("0.5 m", "2 m"),
+            "lab.toml:6: incident_bar.gauge: must be on the bar of 1 m, not at 2 m",
+        ),
+        (RecordDocument, BAR + 'sample_interval = "0 us"', "lab.toml:11: record.sample_interval: "),
+        (
+            ComminutionDocument,
+            '[tests]\nfile = "x"\ngamma = 99.0\nspecific_energy = "e"\nenergy_is = "sphere"\n'
+            'diameter = "d"\noutcome = "o"',
+            "lab.toml:3: tests.gamma: must be between 0.5 and 50",
+        ),
+        (
+            ComminutionDocument,
+            '[feed]\nspeed = "1 m/s"\n[feed.sizes]\nlaw = "table"',
+            'lab.toml:4: feed.sizes.law: law = "table" requires file and sieve and passing',
+        ),
+        (
+            ComminutionDocument,
+            '[material]\nmaterial = "limeston"',
+            'lab.toml:2: material.material: unknown material "limeston"',
+        ),
+        (ComminutionDocument, "[material]\nnu = true", "lab.toml:2: material.nu: must be a number"),
+        (ContactDocument, 'file = "x.csv"\npile_up = true', "lab.toml:2: pile_up: must be a "),
         (ComminutionDocument, "[product]\nalpha = -1.0", "product.alpha: must be greater than 0"),
         (ComminutionDocument, "[feed.sizes]\nn = inf", "feed.sizes.n: must be a finite number"),
     ],

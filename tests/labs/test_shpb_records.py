@@ -618,6 +618,29 @@ def test_the_sheet_the_forces_and_the_pulse(
         main(["shpb", "nothing"])
 
 
+def test_input_files_of_one_name_have_an_output_folder_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A campaign has a folder a day, and a `shot1.toml` in each."""
+    text = (
+        '[incident_bar]\nE = "200 GPa"\ndensity = "7850 kg/m3"\ndiameter = "20 mm"\n'
+        'length = "1.5 m"\ngauge = "0.75 m"\n[receiving_bar]\ngauge = "0.6 m"\n[record]\nfile = '
+        '"one.csv"\n[specimen]\nname = '
+    )
+    places = ["monday/shot1.toml", "tuesday/shot1.toml", "tuesday/shot2.toml"]
+    for place in places:
+        path = tmp_path / place
+        path.parent.mkdir(exist_ok=True)
+        waves().to_csv(path.with_name("one.csv"), index=False)
+        path.write_text(f'{text}"{place}"\n')
+    files = [str(tmp_path / place) for place in places]
+    assert main(["shpb", "records", *files, "--out", str(tmp_path / "out")]) == 0
+    names = [*places[:2], "shot2"]
+    assert pd.read_csv(tmp_path / "out/tests.csv")["test"].tolist() == names
+    for name, place in zip(names, places, strict=True):
+        assert place in (tmp_path / "out" / name / "sheet.html").read_text()
+
+
 def test_the_shipped_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = Path(__file__).parents[2] / "studies/lab_gauge_records.toml"
     assert main(["shpb", "records", str(study), "--json"]) == 0

@@ -12,9 +12,10 @@ from scipy.special import ndtr
 from scipy.stats import ncx2
 
 from tests.campaigns.rare import PROBLEMS, problem
-from uqsphere.uq import rare
+from uqsphere.uq import Estimate, rare
 from uqsphere.uq.law import make_law
 from uqsphere.uq.rare import Evaluator, failure_probability, find_design_points
+from uqsphere.uq.rare.mixture import ImportanceAnswer
 from uqsphere.uq.rare.problem import REACH
 
 
@@ -213,6 +214,16 @@ def test_a_single_failure_of_few_runs_leaves_the_low_end_open() -> None:
     found = failure_probability(plane).estimate
     assert found.value == pytest.approx(1.0 / 992.0)
     assert found.outer[0] <= ndtr(-4.0)
+
+
+def test_an_interval_that_reaches_zero_is_an_answer_and_none_that_is_absent() -> None:
+    chains = Estimate(value=2e-9, low=1e-9, high=4e-9, method="chains", evaluations=1000)
+    weights = Estimate(value=1e-9, low=0.0, high=3e-9, method="weights", evaluations=1000)
+    trusted = ImportanceAnswer(weights, heaviest=0.01, trusted=True)
+    assert rare._certify(trusted, chains) == (weights, "")
+    both, warning = rare._certify(trusted._replace(trusted=False), chains)
+    assert (both.value, both.low, both.high) == (1e-9, 0.0, 4e-9)
+    assert "the interval holds both" in warning
 
 
 def test_no_failure_is_a_bound_and_not_zero() -> None:

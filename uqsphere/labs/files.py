@@ -21,8 +21,8 @@ def in_unit(dimension: str) -> BeforeValidator:
 
 #: a JSON document whose numbers are in SI units
 JsonObject = dict[str, Any]
-Positive = Annotated[float, Field(gt=0.0)]
-PoissonRatio = Annotated[float, Field(ge=0.0, lt=0.5)]
+Positive = Annotated[float, Field(gt=0.0, strict=True)]
+PoissonRatio = Annotated[float, Field(ge=0.0, lt=0.5), in_unit("number")]
 Length = Annotated[Positive, in_unit("length")]
 Pressure = Annotated[Positive, in_unit("pressure")]
 Density = Annotated[Positive, in_unit("density")]

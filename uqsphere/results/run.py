@@ -196,8 +196,7 @@ class Run:
 
 
 def stored_study(folder: Path, results: Results) -> Study:
-    """The study that a result folder keeps beside its results; raises as `read_checked`, StudyError.
-    """
+    """The study that a result folder keeps; raises as `read_checked`, StudyError."""
     from uqsphere.study import load_study
 
     text = read_checked(folder, "study.toml").decode()

@@ -66,7 +66,7 @@ class ContactDocument(Section):
     machine_stiffness: Stiffness = math.inf
     platens: Literal["rigid", *materials_of("bars", "plates")] = "rigid"  # type: ignore[valid-type]
     nu: PoissonRatio = 0.25
-    pile_up: float | None = Field(default=None, ge=1.0, le=3.0)
+    pile_up: float | None = Field(default=None, ge=1.0, le=3.0, strict=True)
     compression: Literal["positive", "negative"] = "positive"
 
 

@@ -5,6 +5,8 @@ The study gives sphere, rig, scatter and strengths.  The shares are the fragilit
 share of 0.01 % comes from the distribution of the strength, not from counted samples.
 """
 
+import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +15,11 @@ import numpy as np
 from pydantic import Field
 
 import uqsphere
-from uqsphere.errors import UsageError
+from uqsphere.documents import unknown
+from uqsphere.errors import StudyError, UsageError
 from uqsphere.labs.files import JsonObject, Section, csv_text, in_unit, table
 from uqsphere.quantities import display_unit, format_probability, format_value, lookup
-from uqsphere.study import Margins, Study
-from uqsphere.units import UnitError, parse_value
+from uqsphere.study import Study
 
 #: numbers of the rigs that are varied, in order of preference, if the file does not name one
 _FREE = (
@@ -62,29 +64,38 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
     an answer; reached: by limit, for every share the value with its interval, None beyond the
     range.
 
-    Raises UsageError for a study without a limit that means fracture or without the number,
-        StudyError as `load_study`.
+    Raises UsageError for a study without a limit that means fracture or without the number, and for
+        a range that no study could have; StudyError as `load_study`.
     """
-    study = uqsphere.load_study(folder / asked.study)
+    path = folder / asked.study
+    study = uqsphere.load_study(path)
     if study.black_box:
         raise UsageError("a plan needs a sphere in a rig; this study is a black box")
-    names = asked.limits or [limit.name for limit in study.limits]
-    limits = tuple(
-        limit for limit in study.limits if limit.name in names and limit.fracture is not False
-    )
+    limits = {limit.name: limit for limit in study.limits if limit.fracture is not False}
     if not limits:
         raise UsageError(
             "no limit of the study means fracture: a plan needs a strength, [limits.NAME]"
         )
-    free, low, high = _range(asked, study)
-    quantities = ("P_max", *(limit.quantity for limit in limits))
+    for name in asked.limits:
+        if name not in limits:
+            raise UsageError(unknown("limit that means fracture", name, limits))
+    limits = {name: limit for name, limit in limits.items() if name in (asked.limits or limits)}
+    try:
+        study = uqsphere.load_study(path, _margins(asked, study))
+    except StudyError as error:
+        faults = [f"{fault.path}: {fault.message}" for fault in error.problems]
+        text = "\n".join(faults).replace("margins.", "").replace(" (set by --set)", "")
+        raise UsageError(text) from None
+    assert study.margins
+    free = study.margins.solve
+    quantities = ("P_max", *(limit.quantity for limit in limits.values()))
     counted: JsonObject = {"quantities": (*dict.fromkeys(quantities),)}
     if asked.limits:
         counted["failure_modes"] = "given"
     planned = replace(
         study,
-        limits=limits,
-        margins=Margins(solve=free, between=(low, high), for_probability=asked.shares),
+        limits=tuple(limits.values()),
+        margins=study.margins.model_copy(update={"for_probability": asked.shares}),
         analysis=study.analysis.model_copy(update=counted),
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
@@ -96,14 +107,14 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         for share, at in curve.values.items():
             value = None if at.value is None else (at.value, at.low, at.high)
             reached[name].append({"share": share, "value": value})
-    notes = []
+    notes = [*study.warnings]
     if len(shares) > len(limits):
         notes.append("assumed: a strength of the library, at its middle, not measured on this rock")
     if len(shares) > 1:
         notes.append("each failure mode by itself; the share that breaks by any of them is larger")
     notes += [
         f"{limit.name} has the aim to break: the shares are of broken spheres"
-        for limit in limits
+        for limit in limits.values()
         if limit.aim == "break"
     ]
     return {
@@ -159,9 +170,9 @@ def plan_csv(plan: JsonObject) -> str:
     return csv_text(np.column_stack(columns), [*head, "failed [1]"])
 
 
-def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
-    """The free number and its ends [SI]: of the file, of the study's margins, or a third to three
-    times its value.
+def _margins(asked: PlanDocument, study: Study) -> list[str]:
+    """What sets the free number of a study and its ends: of the file, of the study's margins, or a
+    third to three times its value.
     """
     numbers = study.at_means()
     margins = study.margins
@@ -171,15 +182,9 @@ def _range(asked: PlanDocument, study: Study) -> tuple[str, float, float]:
         raise UsageError(
             f"free must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}"
         )
-    low = numbers[free] / 3.0
-    high = 3.0 * numbers[free]
-    if asked.between:
-        try:
-            low, high = (parse_value(text, lookup(free).dimension) for text in asked.between)
-        except UnitError as error:
-            raise UsageError(f"between: {error}") from None
-    elif margins and solved == free:
-        low, high = margins.between
-    if not low < high:
-        raise UsageError("between must be [low, high], two different values in this order")
-    return free, low, high
+    between: Sequence[str] | None = asked.between
+    if not between:
+        if solved == free:
+            return []
+        between = [f"{part * numbers[free]} {lookup(free).unit}" for part in (1 / 3, 3)]
+    return [f"margins.solve={free}", f"margins.between={json.dumps(between)}"]
