@@ -34,9 +34,9 @@ def style() -> Iterator[None]:
     """The settings of the report's figures."""
     import matplotlib
 
-    from uqsphere.report.figures import STYLE
+    from uqsphere.report.figures import INK, STYLE
 
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context({"text.color": INK}, STYLE):
         yield
 
 

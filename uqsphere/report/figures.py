@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uqsphere.errors import UsageError
@@ -36,23 +37,8 @@ if TYPE_CHECKING:
 
 #: quantities on the first screen, and those with pictures
 FIRST, MOST_PICTURES = 2, 6
-STYLE: dict[str, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "uqsphere",
-    "font.size": 12.0,
-    "font.family": "sans-serif",
-    "text.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#9aa0a8",
-    "axes.grid": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.3,
-}
+#: settings of matplotlib beside its own defaults: a matplotlibrc of a user may ask for TeX
+STYLE = Path(__file__).with_name("page.mplstyle")
 
 
 class Picture(NamedTuple):
@@ -72,8 +58,7 @@ def picture_svg(draw: Callable[[Figure], None], width: float, height: float) -> 
     import matplotlib
     from matplotlib.figure import Figure
 
-    # a user's matplotlibrc may ask for TeX
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **STYLE}):  # type: ignore[dict-item]
+    with matplotlib.rc_context({"text.color": INK}, STYLE):
         figure = Figure(figsize=(width / 72.0, height / 72.0), dpi=72)
         text = io.StringIO()
         draw(figure)
