@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uqsphere.arrays import as_numbers
+from uqsphere.files import packaged
 
 from .families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
 from .fitting import fitted_law
@@ -23,19 +24,8 @@ from .law import Law, discrete_law, make_law
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike = Any
 
-#: families of this package by SciPy's names, and the keys of its shapes, loc and scale; "-": none,
-#: so that a loc must be 0
-DIRECT = {
-    "norm": ("normal", "mean sd"),
-    "gumbel_r": ("gumbel", "location scale"),
-    "weibull_min": ("weibull", "modulus threshold scale"),
-    "invweibull": ("frechet", "shape location scale"),
-    "t": ("student_t", "dof location scale"),
-    "gamma": ("gamma", "shape - scale"),
-    "rayleigh": ("rayleigh", "- scale"),
-    "lognorm": ("lognormal", "log_sd - log_mean"),
-    "expon": ("exponential", "- mean"),
-}
+#: families, or SciPy's names, by the names of other packages, as explained in foreign.toml
+DIRECT, CHAOSPY, SALIB = packaged("uq/foreign.toml").values()
 #: bounded families by SciPy's names: its shapes, loc and scale -> family, bounds and parameters
 BOUNDED: Mapping[str, Any] = {
     "uniform": lambda loc, scale: ("uniform", loc, loc + scale),
@@ -45,36 +35,10 @@ BOUNDED: Mapping[str, Any] = {
     "truncnorm": lambda a, b, loc, scale: ("normal", loc + a * scale, loc + b * scale, loc, scale),
 }
 
-#: SciPy's names of the distributions of chaospy that are laws of this package, by their standard
-#: form there
-CHAOSPY = {
-    "normal": "norm",
-    "log_normal": "lognorm",
-    "uniform": "uniform",
-    "log_uniform": "loguniform",
-    "beta_": "beta",
-    "triangle": "triang",
-    "gamma": "gamma",
-    "weibull": "weibull_min",
-    "log_weibull": "gumbel_r",
-    "student_t": "t",
-}
-
 #: the way out for laws of several numbers
 EACH = (
     "give each number its own law by name, and their rank correlations by uqsphere.analysis.joint"
 )
-
-#: families and keys of SALib's distributions, in the order of the two to four numbers that it calls
-#: bounds; its mode is a share of the way from one bound to the other
-SALIB = {
-    "unif": ("uniform", "lower upper"),
-    "logunif": ("loguniform", "lower upper"),
-    "norm": ("normal", "mean sd"),
-    "truncnorm": ("normal", "lower upper mean sd"),
-    "lognorm": ("lognormal", "log_mean log_sd"),
-    "triang": ("triangular", "lower upper mode"),
-}
 
 
 def law_table(distribution: LawLike) -> dict[str, Any]:
