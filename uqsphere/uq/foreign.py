@@ -24,8 +24,11 @@ from .law import Law, discrete_law, make_law
 #: a law, its table as in a study, a distribution of scipy.stats or chaospy, or observations (n,)
 LawLike = Any
 
+_NAMES = packaged("uq/foreign.toml")
 #: families, or SciPy's names, by the names of other packages, as explained in foreign.toml
-DIRECT, CHAOSPY, SALIB = packaged("uq/foreign.toml").values()
+DIRECT = _NAMES["scipy"]
+CHAOSPY = _NAMES["chaospy"]
+SALIB = _NAMES["salib"]
 #: bounded families by SciPy's names: its shapes, loc and scale -> family, bounds and parameters
 BOUNDED: Mapping[str, Any] = {
     "uniform": lambda loc, scale: ("uniform", loc, loc + scale),
