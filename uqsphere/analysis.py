@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqsphere.arrays import Array, Pair, as_numbers, frozen, special
+from uqsphere.arrays import Array, Pair, as_numbers, frozen, one_thread, special
 from uqsphere.errors import UsageError, as_text
 from uqsphere.models.black_box import by_index
 from uqsphere.uq import Dependence, Estimate, Joint, LimitState, curve, rare, sobol_points
@@ -82,10 +82,8 @@ def _refusing() -> Iterator[None]:
     """What laws and arrays refuse is a fault of the caller; one thread of linear algebra, as in a
     run.
     """
-    from threadpoolctl import threadpool_limits
-
     try:
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_thread():
             yield
     except (ValueError, TypeError) as error:
         raise UsageError(str(error)) from error

@@ -22,6 +22,8 @@ Names = Sequence[str]
 Values = Any
 #: columns by name, each a number or an array (n,)
 ColumnMap = Mapping[str, Values]
+#: elementwise formulas of one array
+Function = Callable[[Array], Array]
 #: numbers or flags of any kind, plain or in named columns
 Cells = NDArray[Any]
 #: decorator of formulas that are evaluated in every row, also where they are not valid or not used
@@ -58,6 +60,13 @@ class _Special:
 
 
 special = _Special()
+
+
+def one_thread() -> Any:
+    """Linear algebra by one thread: sums in a fixed order, and no threads that wait for others."""
+    from threadpoolctl import threadpool_limits
+
+    return threadpool_limits(limits=1, user_api="blas")
 
 
 def as_numbers(cells: Any) -> Array:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo, Pair, Places, Values, frozen, quiet
+from uqsphere.arrays import Array, Duo, Function, Pair, Places, Values, frozen, quiet
 from uqsphere.errors import UsageError
 
 from . import contact
@@ -271,7 +270,7 @@ def _nodes(course: Motion, begin: float, end: float) -> Array:
     return np.concatenate([[begin], inner[(inner > begin) & (inner < end)], [end]])
 
 
-def _zeros(function: Callable[[Array], Array], nodes: Array, at: Places) -> Array:
+def _zeros(function: Function, nodes: Array, at: Places) -> Array:
     """Instants (m,) [s] at which a function changes its sign between nodes `at` and the next."""
     low = nodes[at]
     positive = function(low) > 0.0

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Pair, Values
+from uqsphere.arrays import Array, Flags, Function, Pair, Values
 
 #: halvings that exhaust a double, whose mantissa has 52 bits
 _HALVINGS = 52
@@ -26,7 +26,7 @@ def bisect(
     return low, high
 
 
-def newton(step: Callable[[Array], Array], start: Array, least: float) -> Array:
+def newton(step: Function, start: Array, least: float) -> Array:
     """Roots (n,) by Newton's method from `start`, never below `least`; `step` is f/f'."""
     root = start
     for _ in range(MOST_ITERATIONS):

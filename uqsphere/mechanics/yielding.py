@@ -91,7 +91,7 @@ class FirstLoading(NamedTuple):
     work: Formula
 
 
-def first_loading(select: Formula, compiled: Formula = lambda function: function) -> FirstLoading:
+def first_loading(select: Formula, compiled: Formula) -> FirstLoading:
     """The formulas (C4) to (C7), stated once for arrays and for the compiled integrator.
 
     select: function of (condition, a, b) that returns a where the condition holds, else b:

@@ -15,9 +15,7 @@ from functools import lru_cache
 from typing import Any
 from weakref import WeakSet
 
-from threadpoolctl import threadpool_limits
-
-from uqsphere.arrays import Array, Names
+from uqsphere.arrays import Array, Names, one_thread
 from uqsphere.errors import (
     ExecutorLost,
     ModelError,
@@ -156,8 +154,7 @@ def serve(parent: int) -> None:
         packed = pickle.load(requests)
         with contextlib.suppress(UqsphereError):  # the first call reports it again
             unpack(packed)
-        # one thread of linear algebra: sums in a fixed order, and no threads that wait for others
-        threadpool_limits(limits=1, user_api="blas")
+        one_thread()
         reply: object = "ready"
         while True:
             _send(reply, replies)

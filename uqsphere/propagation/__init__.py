@@ -17,6 +17,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from uqsphere.arrays import one_thread
 from uqsphere.errors import FolderError, UqsphereError, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
@@ -96,8 +97,6 @@ def run(
             f"{type(study).__name__}"
         )
     check_scene(study)
-    from threadpoolctl import threadpool_limits
-
     cache = None
     if seconds is None:
         seconds = study.analysis.budget.time
@@ -148,9 +147,7 @@ def run(
                 progress=stage,
             )
         )
-        # one thread of linear algebra: sums in a fixed order, and no threads that wait for each
-        # other
-        stack.enter_context(threadpool_limits(limits=1, user_api="blas"))
+        stack.enter_context(one_thread())
         if points is not None or surrogate.is_slow(design, evaluator, seconds):
             tables = surrogate.tables_of(
                 design, evaluator, seconds=seconds, progress=report, points=points

@@ -62,10 +62,10 @@ class Aim:
     design: Design
     word: types.Aim
     limits: Sequence[Limit]
-    untargeted: Sequence[Limit] = ()
-    modes: Sequence[AssumedMode] = ()
-    others: Sequence[Alternative] = ()
-    yielding: YieldingRows | None = None
+    untargeted: Sequence[Limit]
+    modes: Sequence[AssumedMode]
+    others: Sequence[Alternative]
+    yielding: YieldingRows | None
 
     @property
     def survive(self) -> bool:

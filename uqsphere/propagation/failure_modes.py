@@ -44,7 +44,7 @@ class AssumedMode:
     weak: Law
     strong: Law
     entry: Property
-    counts: bool = True
+    counts: bool
 
     @property
     def called(self) -> str:

@@ -79,7 +79,7 @@ class Compared:
     sample: Sample
     values: Array | None = None
     folds: Sequence[Sample] = ()
-    failed: int = 0
+    failed: int
 
 
 @bundle

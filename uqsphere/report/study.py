@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from uqsphere.arrays import one_thread
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.quantities import OUTPUTS, display_unit, format_value
@@ -112,8 +113,6 @@ def _shape(law: Law) -> str:
 
 def cost(study: Study) -> str:
     """The expected cost of a whole run, from a short trial run; of a user model, its bounds."""
-    from threadpoolctl import threadpool_limits
-
     from uqsphere.models.model import Model
     from uqsphere.propagation.design import Design
     from uqsphere.propagation.grow import first_count, first_rows, grow
@@ -138,7 +137,7 @@ def cost(study: Study) -> str:
         model.evaluate(names, rows, design.columns)
         each = model.seconds_per_row
     began = time.monotonic()
-    with threadpool_limits(limits=1, user_api="blas"), Model(design.judged) as model:
+    with one_thread(), Model(design.judged) as model:
         tables = grow(design, model, seconds=budget.time)
         _, tables = judge(model, tables, began + budget.time)
     took = time.monotonic() - began

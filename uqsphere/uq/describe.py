@@ -14,7 +14,7 @@ from math import inf, nan
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Pair, Values, frozen, special
+from uqsphere.arrays import Array, Flags, Function, Pair, Values, frozen, special
 
 from .chaos.expansion import Integrals
 from .estimate import (
@@ -285,7 +285,7 @@ def describe_controlled(
     models = expensive, cheap, cheap_many
 
     def controlled(
-        function: Callable[[Array], Array], integral: float, error: float
+        function: Function, integral: float, error: float
     ) -> tuple[Values, float, float]:
         """Means of the replicates, the half-width that is left of an integral among them, and the
         points that carry what the cheap model is off by; infinite for a rounding.

@@ -20,21 +20,11 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.random import Generator
 
-from uqsphere.arrays import Array, Duo, Flags, Pair, as_numbers, bundle, frozen, special
+from uqsphere.arrays import Array, Duo, Flags, Function, Pair, as_numbers, bundle, frozen, special
 
 from .estimate import ENDS
 from .families import DRAWN, FAMILIES, Keys
-from .forms import (
-    GAUSS,
-    MOST_KERNELS,
-    SMALLEST,
-    WEIBULL,
-    Form,
-    Function,
-    LawError,
-    bandwidth,
-    tails_at,
-)
+from .forms import GAUSS, MOST_KERNELS, SMALLEST, WEIBULL, Form, LawError, bandwidth, tails_at
 from .law import Law, bounds_of
 
 #: tests of one sample

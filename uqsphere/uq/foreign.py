@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqsphere.arrays import as_numbers
+from uqsphere.arrays import Function, as_numbers
 from uqsphere.files import packaged
 
 from .families import BY_FUNCTIONS, FAMILIES, PREFIX, family_named
 from .fitting import fitted_law
-from .forms import Function, LawError
+from .forms import LawError
 from .joint import Dependence, Joint, make_joint
 from .law import Law, discrete_law, make_law
 

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo, Pair, bundle, quiet, special
+from uqsphere.arrays import Array, Duo, Function, Pair, bundle, quiet, special
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
     from .law import Law
 
-Function = Callable[[Array], Array]
 Quantile = Callable[[Array, Array], Array]
 Tails = Pair  # P(Y <= y), P(Y > y)
 

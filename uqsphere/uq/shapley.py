@@ -20,11 +20,10 @@ from itertools import cycle, permutations
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Function, special
 
 from .chaos.basis import germ_points
 from .estimate import REPLICATES, Estimate, absent, from_replicates, ratio_of_means, student
-from .forms import Function
 from .indices import LARGE
 from .joint import Joint
 from .points import random_generator, sobol_points

@@ -132,7 +132,9 @@ def _feed_text(content: JsonObject) -> str:
         rows.append((f"broken in a lot of {lot['mass']:.4g} kg", value, spread))
     classes = [("size", "mass", "broken", LEVEL_TEXT, "remark")]
     for row in content["classes"]:
-        mark = "extrapolated" if row["extrapolated"] else ""
+        mark = ""
+        if row["extrapolated"]:
+            mark = "extrapolated"
         broken = _interval(row["broken"], 100.0, "%")
         classes.append((f"{row['size'] * 1e3:.4g} mm", f"{row['mass']:.1%}", *broken, mark))
     return "\n\n".join([content["title"] or "feed", table(rows), table(classes)])

@@ -76,7 +76,9 @@ def particle_energies(
     if meaning == "sphere":
         return energy, notes
     if not partner:
-        whole = "stored in the contacts" if meaning == "contact" else "offered"
+        whole = "offered"
+        if meaning == "contact":
+            whole = "stored in the contacts"
         notes.append(
             f"without tests.partner the particle is credited with the whole energy {whole}; a "
             "study credits it with its share only"

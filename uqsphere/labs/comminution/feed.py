@@ -5,14 +5,13 @@ uncertainty of the tests (the draws) and the scatter of a lot are separate.
 """
 
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, Function, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import JsonObject
 from uqsphere.tables import read_table
@@ -83,9 +82,7 @@ def _law(asked: SizesTable, size: Array) -> Array:
     return special.ndtr(np.log(size / asked.d50) / asked.sd)
 
 
-def _sieves(
-    asked: SizesTable, folder: Path, notes: list[str]
-) -> tuple[Callable[[Array], Array], float]:
+def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function, float]:
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
     table = read_table(folder / asked.file)
     column = asked.passing

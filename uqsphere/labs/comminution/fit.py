@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo, Places, Values, quiet, special
+from uqsphere.arrays import Array, Duo, Function, Places, Values, quiet, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import JsonObject, csv_text
 from uqsphere.uq import ENDS
@@ -171,7 +171,7 @@ class Fit(NamedTuple):
 
 
 @quiet
-def log_likelihoods(model: EnergyModel, tests: Specimens) -> Callable[[Array], Array]:
+def log_likelihoods(model: EnergyModel, tests: Specimens) -> Function:
     """A function of logarithms of parameters (..., d): log likelihoods (..., s) of specimens."""
     names = [*model.priors]
     fitted = "gamma" in names

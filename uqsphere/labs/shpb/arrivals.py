@@ -163,7 +163,9 @@ def _doubt(delay: _Delay, steep: float, late: float) -> str:
     bar = signal.bar
     late_by = delay.late * signal.step
     fits = bar.gauge + late_by * bar.wave_speed / delay.ways
-    would = f"{fits:.4g} m would fit" if fits > 0.0 else "no distance of this gauge fits"
+    would = "no distance of this gauge fits"
+    if fits > 0.0:
+        would = f"{fits:.4g} m would fit"
     return (
         f"the {delay.wave} wave comes {abs(late_by) * 1e6:.4g} us too {side} for a gauge at "
         f"{bar.gauge:.4g} m; {would}"

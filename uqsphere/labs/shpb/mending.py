@@ -301,7 +301,9 @@ def _without_faults(trace: Trace) -> Trace:
 
 
 def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+    if number != 1:
+        noun += "s"
+    return f"{number} {noun}"
 
 
 def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:

@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Pair, Places, Values, bundle, special
+from uqsphere.arrays import Array, Function, Pair, Places, Values, bundle, special
 
 from ..families import FAMILIES
-from ..forms import Function
 from ..law import Law
 
 #: up to this degree polynomials of a germ are orthonormal to 1e-11

@@ -13,9 +13,8 @@ from math import inf, nan
 
 import numpy as np
 
-from uqsphere.arrays import Array, special
+from uqsphere.arrays import Array, Function, special
 
-from ..forms import Function
 from ..points import sobol_points
 
 #: standard deviations beyond which the model is not evaluated: 2e-19 of a variable's probability
