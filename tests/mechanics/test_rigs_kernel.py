@@ -14,6 +14,8 @@ import pytest
 
 from tests.independent.motion import FREE, Law, Motion, Pole, march
 from uqsphere.mechanics.closed_form import solve_closed
+from uqsphere.mechanics.field import field_at
+from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.integrator.solve import Task, march_rows, motion, solve
 from uqsphere.mechanics.scene import Scene
@@ -318,6 +320,68 @@ def test_a_flight_of_a_million_round_trips_takes_few_steps() -> None:
     found = kernel(rows, 1e-4)
     assert (found["status"] == tracked.OK).all()
     assert found["steps"].max() < 1e-3 * found["parting"].max()
+
+
+def test_the_largest_values_of_a_light_sphere_on_a_rod_need_not_wait_until_it_rests() -> None:
+    """Trapped between hammer and rod it is pressed again and again, ever more softly: nothing but
+    its end would take a million steps, and more than there are.
+    """
+    weight = {"mu": 1.0, "V": 1.0}
+    numbers = ((0.2455, 1.615, 0.3473), (0.0095, 1.886, 0.3198), (0.05, 1.7, 0.575))
+    rows = [
+        rig(mu=mu, A=weight, B={"zeta": zeta, "trip": trip, "end": 0.9, "kappa": 1.18})
+        for mu, zeta, trip in numbers
+    ]
+    peaks = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_MEAN
+    found, _ = march_rows(arguments(rows), replace(TASK, tolerance=1e-6, wanted=peaks))
+    assert (found["status"] == tracked.OK).all()
+    # the last one parts within a few thousand steps
+    whole = kernel(rows[2:], 1e-6)
+    assert found["steps"][2] < 0.5 * whole["steps"][0]
+    for name in ("x", "difference", "stored", "mean_force"):
+        assert found[name][2].tolist() == whole[name][0].tolist()
+
+
+@pytest.mark.parametrize("end", [0.97, 0.9999, 1.0 - 1e-6])
+def test_the_history_of_a_rod_passes_round_trips_without_contact_as_its_answers_do(
+    end: float,
+) -> None:
+    """Up to a million of them; the gap follows the sphere and the end of the rod all the while, as
+    the waves in the rod have it.
+    """
+    numbers = {
+        "sphere.E": 95e9,
+        "sphere.nu": 0.08,
+        "sphere.density": 2650.0,
+        "sphere.radius": 5e-3,
+        "hammer.E": 208e9,
+        "hammer.nu": 0.29,
+        "hammer.mass": 67e-3,
+        "hammer.speed": 1.98,
+        "rod.E": 208e9,
+        "rod.nu": 0.29,
+        "rod.density": 7850.0,
+        "rod.diameter": 20e-3,
+        "rod.length": 0.29,
+        "rod.end": end,
+    }
+    scene = Scene(
+        columns={name: np.array([value]) for name, value in numbers.items()}, rig="load_cell"
+    )
+    course = trace(scene, tolerance=1e-8, points=50)
+    found = solve(scene, tolerance=1e-8)
+    assert course.horizon == pytest.approx(found.record[0], rel=1e-7)
+    assert course.horizon > 100.0 * scene.first_echo[0]
+    assert len(course.motion.start) < 1000
+    lost = [change.time for change in course.changes if change.kind == "lost"]
+    assert max(lost) == pytest.approx(found.values["loaded_time"][0], rel=1e-7)
+    # behind the joints of steps and waves, one after the other round trip and beside each other
+    early = np.linspace(0.0, 20.0 * scene.first_echo[0], 200)
+    at = np.sort(np.concatenate([early, np.linspace(0.0, 0.99 * course.horizon, 200)])) + 1e-8
+    step = 1e-9
+    ahead, behind = (course.motion.states_at(at + way * step)[:, 1] for way in (1.0, -1.0))
+    closing = course.motion.states_at(at)[:, 2] - field_at(course.motion, "receiving", 0.0, at)[1]
+    assert (ahead - behind) / (2.0 * step) == pytest.approx(closing, abs=1e-4)
 
 
 def test_the_bodies_never_close() -> None:

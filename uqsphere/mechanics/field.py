@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Pair, Values
+from uqsphere.arrays import Array, Pair, Values, quiet
 
 from .integrator.solve import Motion
 from .pulses import pulse_value
@@ -53,24 +53,41 @@ def _nudge(motion: Motion, times: Array, sides: Values) -> Values:
     return 1e-12 * (np.abs(times) + motion.unit) * sides
 
 
+@quiet
 def _echoes(motion: Motion, bar: int, times: Array, sides: Values, *, first: int) -> Array:
     """Sum over k >= first of R^k times the wave that first left the contact at t - k T."""
     end = motion.scene.reflections[motion.row, bar]
-    trip = motion.round_trip(bar)
+    last = times.max(initial=0.0)
+    trip = min(motion.echo(bar), 4.0 * (last + motion.horizon))
     nudge = _nudge(motion, times, sides)
-    last = times.max(initial=0.0) * (1.0 + 1e-12)
+    most = np.abs(np.log(_FAINT) / np.log(np.abs(end)))  # infinite where |R| is 1
     total = np.zeros_like(times)
-    k = first
-    strength = end**first
-    while k == 0 or (abs(strength) > _FAINT and k * trip <= last):
-        earlier = times - k * trip if k else times
-        part = motion.forces_at(earlier)[:, bar] / motion.scales.impedance
-        if bar == 0:
-            part = _pulse(motion, earlier + nudge) - part
-        total += strength * part
-        k += 1
-        strength *= end
+    for begin, until in _sending(motion, bar, last):
+        k = np.maximum(np.ceil((times - until) / trip), first)
+        while True:
+            earlier = times - k * trip
+            at = np.flatnonzero((earlier >= begin) & (k <= most))
+            if len(at) == 0:
+                break
+            part = motion.forces_at(earlier[at])[:, bar] / motion.scales.impedance
+            if bar == 0:
+                part = _pulse(motion, (earlier + nudge)[at]) - part
+            total[at] += end ** k[at] * part
+            k += 1.0
     return total
+
+
+def _sending(motion: Motion, bar: int, last: float) -> list[tuple[float, float]]:
+    """Spans of time [s] in which a face may send a wave into its bar: while it is pressed; between
+    bars all the time up to `last`.
+    """
+    if motion.scene.by_wave or motion.forces is None:
+        return [(-motion.unit, last)]  # a jump at first touch may lie before it, but for rounding
+    pressed = motion.forces[:, bar].any(axis=1)
+    (edges,) = np.nonzero(np.diff(pressed, prepend=False, append=False))
+    begins = motion.unit * motion.start
+    ends = begins + motion.unit * motion.length
+    return [*zip(begins[edges[::2]].tolist(), ends[edges[1::2] - 1].tolist(), strict=True)]
 
 
 def _pulse(motion: Motion, times: Array) -> Values:

@@ -442,7 +442,7 @@ def after_step(s, j):
             lane.ended = lane.time + at * s.h[j]
     if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
         _note_loss(s, j, ends)
-    if s.wanted & tracked.WANT_CARRIED:
+    if s.wanted & tracked.WANT_AFTER:
         _note_squared_forces(s, j, ends)
     if s.wanted & tracked.WANT_DURATION:
         _note_impulse(s, j, ends)

@@ -22,8 +22,9 @@ lane one step:
 A record ends at the horizon; between infinite bars without one, once the pulse is over, when both
 forces are below a share of the largest for the first time; of a rig once no gap can close
 again.  It ends sooner where nothing that is wanted can change any more: no largest value
-can grow under a steady wave (`records.no_later_peak`); or, at a loss of contact, no approach can
-(`records.no_higher_approach`) or no wave can press harder (`records.no_harder_squeeze`).
+can grow under a steady wave, or by the energy that the bodies of a rig have left
+(`records.no_later_peak`); or, at a loss of contact, no approach can (`records.no_higher_approach`)
+or no wave can press harder (`records.no_harder_squeeze`).
 
 What a lane knows are the fields of `tracked.LANE` and its columns of `tracked.STATE`, with their
 units and who writes them.
@@ -474,7 +475,10 @@ def _judge(s, j):
     lane = s.lane[j]
     if lane.fate != GOES_ON:
         return
-    if lane.steady >= 0.0 and not lane.touching and not s.rigged and records.no_later_peak(s, j):
+    may_end = lane.steady >= 0.0
+    if s.rigged:
+        may_end = lane.why == End.CONTACT
+    if may_end and not lane.touching and records.no_later_peak(s, j):
         lane.fate = tracked.OK
         return
     # the first step that is read again: of the whole path, or of the waves of a round trip

@@ -142,7 +142,7 @@ def _stays_open_or_leaps(s, j, bar, made, ahead):
     never = trips > _FOREVER
     trips = min(min(trips, _FOREVER), min(ahead, lane.end - lane.time) / trip)
     whole = math.ceil(trips) - 1
-    if whole < 1 or (never and ahead == inf) or s.wanted & tracked.WANT_MOTION:
+    if whole < 1 or (never and ahead == inf):
         return never
     left = share**whole
     if share < 1.0:
@@ -365,6 +365,16 @@ def _stays_below(s, j, squeeze, largest, stiffness):
 
 
 @compiled
+def _moving_energy(s, j, level):
+    """Kinetic energy of the bodies of a row, of the sphere relative to a speed."""
+    energy = 0.5 * s.lane[j].mass * (s.u[0, j] - level) ** 2
+    for m in range(j, PAIR, LANES):
+        if s.lightness[m] > 0.0:
+            energy += 0.5 * s.free[0, m] ** 2 / s.lightness[m]
+    return energy
+
+
+@compiled
 def no_higher_approach(s, j):
     """Whether no approach can exceed the largest so far while the incoming wave stays as it is.
 
@@ -372,17 +382,23 @@ def no_higher_approach(s, j):
     where phi' = q(x) - level and phi = 0 at its smallest: V' = -(q(x_1) - level)² - (q(x_2) -
     level)².  No approach above the one at rest can be exceeded whose phi is not below V.  Faces
     with laws of their own are all springs now: what yields takes energy and brings none back.
+    In other rigs level is 0, and V the energy of all bodies: V' = -(zeta q + 2 h) q at a rod, where
+    h >= 0 if R >= 0, since its echoes then only pull its end away.
     """
     lane = s.lane[j]
     level = lane.steady
     slack = 1.0 + 0.1 * s.error[j]
+    if s.rigged and min(lane.reflect[0], lane.reflect[1]) >= 0.0:
+        level = 0.0
     if level < 0.0:
         return False
-    stored = 0.5 * lane.mass * (s.u[0, j] - level) ** 2
+    stored = _moving_energy(s, j, level)
     least = inf
     rest = level
     least_phi = 0.5 * level * level
     for m in range(j, PAIR, LANES):
+        if s.there[m] == 0.0:
+            continue
         spring = s.spring[m]
         reached = max(s.x[0, m], 0.0)
         if spring == 0.0:
@@ -423,18 +439,20 @@ def _stays_pressed(s, j):
 @compiled
 def no_later_peak(s, j):
     """Whether no largest value that is wanted can change any more while the incoming wave stays as
-    it is.
+    it is, and nothing else is wanted that may.
     """
     lane = s.lane[j]
     wanted = s.wanted
     slack = 1.0 + 0.1 * s.error[j]
     if wanted & tracked.WANT_CONTACT or (lane.steady > 0.0 and wanted & OF_BOTH):
         return False
+    if s.rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_AFTER):
+        return False
     if wanted & tracked.WANT_DURATION and not _stays_pressed(s, j):
         return False
     if not no_higher_approach(s, j):
         return False
-    energy = 0.5 * lane.mass * s.u[0, j] ** 2
+    energy = _moving_energy(s, j, 0.0)
     stiffest = 0.0
     for m in range(j, PAIR, LANES):
         energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
@@ -475,7 +493,7 @@ def finish(s, j, made, out):
         out.x_first[face] = lane.x_first[face]
         if s.has_laws:
             out.other[face] = lane.other[face]
-        if s.wanted & tracked.WANT_CARRIED:
+        if s.wanted & tracked.WANT_AFTER:
             out.carried[face] = lane.carried[face]
         out.end_speed[face] = s.side_sign[m] * s.free[0, m]
     out.sphere_speed = s.u[0, j]

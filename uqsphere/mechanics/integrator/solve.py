@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Places, Values, frozen
+from uqsphere.arrays import Array, Flags, Places, Values, frozen
 from uqsphere.mechanics import bars, contact
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, answers_from, wishes
 from uqsphere.mechanics.scene import STATUS, Scales, Scene
@@ -60,7 +60,8 @@ class Motion:
     start, length (m,): of the steps, over t_c; states (m, 3, k): x_1, x_2 and u on every step,
     coefficients in ascending powers of the share of the step that has passed; forces (m, 2, k): the
     same of both forces over P_c, where they do not follow from the approach alone.  end: over t_c,
-    may lie inside the last step.
+    may lie inside the last step.  Behind a step at whose end every face is open, round trips of a
+    rod may be left out: each repeats the echoes of the last one times R (`records`).
     """
 
     scene: Scene
@@ -115,15 +116,55 @@ class Motion:
         """Round trip of a bar whose far end sends a wave back [s]; else infinite."""
         return float(self.scene.echoes[self.row, bar])
 
-    def _at(self, series: Array, times: Array) -> Array:
-        """Series (m, k, terms) of the steps at `times` [s], (n, k), scaled; 0 before first
+    @cached_property
+    def _leapt(self) -> Flags:
+        """Whether round trips are left out behind a step, (m,)."""
+        gaps = self.start[1:] - self.start[:-1] - self.length[:-1]
+        return np.append(gaps * self.unit > 0.5 * self.echo(1), False)
+
+    def _step_at(self, s: Array) -> Places:
+        """Numbers (n,) of the steps in or behind which times over t_c lie."""
+        return np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.start) - 1)
+
+    def _at(self, series: Array, s: Array) -> Array:
+        """Series (m, k, terms) of the steps at times over t_c, (n, k), scaled; 0 before first
         touch.
         """
-        s = times / self.unit
-        n = np.clip(np.searchsorted(self.start, s, side="right") - 1, 0, len(self.start) - 1)
+        n = self._step_at(s)
         share = ((s - self.start[n]) / self.length[n])[:, None]
         found = polyval(share, np.moveaxis(series[n], 2, 0), tensor=False)
         return np.where((s >= 0.0)[:, None], found, 0.0)
+
+    def _scaled_states(self, s: Array) -> Array:
+        """States (n, 3) at times over t_c, scaled.
+
+        In round trips that are left out the sphere moves evenly, and the gap at the rod by that and
+        by the echoes of the last round trip times R, R², ...
+        """
+        found = self._at(self.states, s)
+        n = self._step_at(s)
+        begin = self.start[n] + self.length[n]
+        inside = np.flatnonzero(self._leapt[n] & (s > begin))
+        if len(inside) == 0:
+            return found
+        n = n[inside]
+        begin = begin[inside]
+        trip = self.echo(1) / self.unit
+        end = float(self.scene.reflections[self.row, 1])
+        trips, rest = np.divmod(s[inside] - begin, trip)
+        whole = np.rint((self.start[n + 1] - begin) / trip)
+        returned = trips / whole  # R + R² + ..., over the sum of all round trips
+        if end < 1.0:
+            returned = (1.0 - end**trips) / (1.0 - end**whole)
+        gap, before, then = (
+            self._scaled_states(at)[:, 1] for at in (begin, begin - trip, begin - trip + rest)
+        )
+        evenly = found[inside, 2] * trip
+        opened = self.states[n + 1, 1, 0] - gap - evenly * whole
+        found[inside, 1] = gap + evenly * trips + opened * returned
+        evenly *= rest / trip
+        found[inside, 1] += evenly + (then - before - evenly) * end ** (trips + 1.0)
+        return found
 
     def states_at(self, times: Array) -> Values:
         """Approaches at A, B [m], velocity of the sphere [m/s] at `times` [s], (m, 3); 0 before
@@ -131,13 +172,13 @@ class Motion:
         """
         approach = self.scales.approach
         units = np.array([approach, approach, self.scales.speed])
-        return self._at(self.states, times) * units
+        return self._scaled_states(times / self.unit) * units
 
     def forces_at(self, times: Array) -> Values:
         """Contact forces at A and B [N] at `times` [s], (m, 2)."""
         scales = self.scales
         if self.forces is not None:
-            return np.maximum(self._at(self.forces, times), 0.0) * scales.force
+            return np.maximum(self._at(self.forces, times / self.unit), 0.0) * scales.force
         approach = self.states_at(times)[:, :2]
         if self.fidelity == "linear":  # the secant stiffness beta sqrt(alpha_c)
             return scales.force / scales.approach * np.maximum(approach, 0.0)

@@ -70,7 +70,7 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
     WANT_MEAN,
     WANT_DURATION,
     WANT_CONTACT,
-    WANT_CARRIED,
+    WANT_AFTER,  # speeds behind an impact, and the energy sent out
     WANT_MOTION,
 ) = (1 << k for k in range(9))
 #: all answers
@@ -134,8 +134,7 @@ WISHES = {
     "contact": WANT_CONTACT,
     "contact_censored": WANT_CONTACT,
     "rise": WANT_RISE,
-    "carried_a": WANT_CARRIED,
-    "carried_b": WANT_CARRIED,
+    **dict.fromkeys(("leaving", "parting_speed", "carried_a", "carried_b"), WANT_AFTER),
     "mean_force": WANT_MEAN,
     "stored_sphere": WANT_SHARE,
     "parting": WANT_CONTACT,
