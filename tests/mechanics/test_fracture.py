@@ -4,12 +4,14 @@ several limits.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scenes import ENDLESS, example
 
+import uqsphere
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import loading_time
 from uqsphere.mechanics.criteria import CRITERIA, demand
@@ -17,6 +19,8 @@ from uqsphere.mechanics.fracture import LoadingPath, first_fractures, path_of
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import Scene
+from uqsphere.results.types import Kind
+from uqsphere.study import load_study
 
 FORCE, ENERGY = LoadingPath(over="force"), LoadingPath(over="energy")
 
@@ -176,3 +180,34 @@ def test_where_faces_yield_the_path_is_that_of_the_law():
         assert pressed.p_max[0] == pytest.approx(share * whole.p_max[0], rel=1e-5)
         assert energy.energy[0] == pytest.approx(share * answers["energy"][0], rel=1e-5)
         assert true.time[0] < hertz.time[0] < force.time[0]
+
+
+def test_a_linear_contact_breaks_along_its_own_course() -> None:
+    """The force at the moment found is the level of the linear model's own peak."""
+    many = scene(4)
+    largest = solve(many, fidelity="linear", tolerance=1e-8, quantities=("P_max", "energy"))
+    shares = np.array([[0.3], [0.6], [0.9], [0.99]])
+    for name, path in (("P_max", FORCE), ("energy", ENERGY)):
+        found = first_fractures(many, shares, [path], fidelity="linear", tolerance=1e-8)
+        reached = found.force if name == "P_max" else found.energy
+        np.testing.assert_allclose(reached, shares[:, 0] * largest.values[name], rtol=1e-4)
+
+
+def test_a_run_of_the_linear_model_tells_the_force_at_which_its_spheres_break(tmp_path: Path) -> None:
+    text = """
+        sphere = { E = "52 GPa", nu = 0.25, radius = "10 mm", density = "2650 kg/m3" }
+        bars = { material = "maraging_steel", diameter = "40 mm", infinite = true }
+        striker = { length = "0.4 m", speed = { dist = "normal", mean = "1 m/s", cov = 0.02 } }
+        contact.law = "hertz"
+        model.fidelity = "linear"
+        limits.force = { quantity = "P_max", aim = "survive", target = 0.01, strength = {
+            dist = "uniform", lower = "6.4 kN", upper = "6.5 kN" } }
+        limits.late = { quantity = "p_max", aim = "survive", target = 0.01, strength = {
+            dist = "uniform", lower = "2.9 GPa", upper = "3.1 GPa" }, strength_is = "hertz" }
+        analysis.accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.1 }
+        """
+    study = load_study(tmp_path / "study.toml", text=text.replace("= {\n            ", "= { "))
+    results = uqsphere.run(study).results
+    forces = [row.value or 0.0 for row in results.where("fracture", Kind.FORCE_AT_FRACTURE)]
+    assert len(forces) == 3
+    assert all(6400.0 <= force <= 6500.0 for force in forces)

@@ -16,7 +16,7 @@ from numpy.polynomial.polynomial import polyval
 from uqsphere.arrays import Array, Places, quiet
 
 from .criteria import CRITERIA, Demands, Parameters, demand
-from .integrator.solve import Motion, motions
+from .integrator.solve import MODES, Motion, motions
 from .integrator.tracked import ORDER, TERMS
 from .outputs import OUTPUTS, Columns, columns_of, columns_of_press
 from .roots import bisect
@@ -101,13 +101,13 @@ def first_fractures(
     """Fracture of n specimens, one for each row: the first instant at which it reaches a strength.
 
     shares (n, L): strength over the peak demand; at 1 and above the strength is not reached, at 0
-    and below at first touch.  paths: how the L criteria follow the loading.  fidelity: `full` or
-    `massless`.  A specimen whose row cannot be integrated does not break.
+    and below at first touch.  paths: how the L criteria follow the loading.  fidelity: `full`,
+    `linear` or `massless`.  A specimen whose row cannot be integrated does not break.
 
     Raises ValueError for another shape of shares, or another fidelity.
     """
-    if fidelity not in ("full", "massless"):
-        raise ValueError(f"fidelity must be 'full' or 'massless' for fracture, not {fidelity!r}")
+    if fidelity not in MODES:
+        raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
     if shares.shape != (len(scene), len(paths)):
         raise ValueError(
             f"shares must have the shape ({len(scene)}, {len(paths)}), not {shares.shape}"
@@ -151,8 +151,9 @@ class _Course(NamedTuple):
     start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
     m,): of the nodes, which divide every step into 16 parts.  peaks: peak `force` and peak `energy`
     so far, (16 m,) each.  forces (m, 2, 17): coefficients of the drive: the approach, whose 3/2
-    power is the Hertz force, or the force itself for contacts that yield or differ.  deepest (1 +
-    16 m, 2): peak approaches before each node, and in the end.
+    power is the Hertz force, or the force itself for contacts that yield, differ or are linear.
+    deepest (1 + 16 m, 2): peak approaches before each node, and in the end.  linear: whether the
+    contacts are.
     """
 
     start: Array
@@ -162,6 +163,7 @@ class _Course(NamedTuple):
     times: Array
     peaks: dict[str, Array]
     deepest: Array
+    linear: bool
 
 
 def _course(motion: Motion) -> _Course:
@@ -181,7 +183,8 @@ def _course(motion: Motion) -> _Course:
         for series in (states, forces)
     )
     deepest = np.maximum.accumulate(approach, axis=0)
-    loads = _loads(motion.scene, np.array([motion.row]), drive, approach, deepest)
+    linear = motion.fidelity == "linear"
+    loads = _loads(motion.scene, np.array([motion.row]), drive, approach, deepest, linear)
     return _Course(
         start=start,
         length=length,
@@ -190,23 +193,25 @@ def _course(motion: Motion) -> _Course:
         times=(start[:, None] + length[:, None] * _SHARES).ravel(),
         peaks={name: np.maximum.accumulate(load) for name, load in loads.items()},
         deepest=np.vstack([np.zeros(2), deepest]),
+        linear=linear,
     )
 
 
 @quiet
 def _loads(
-    scene: Scene, rows: Places, drive: Array, approach: Array, deepest: Array
+    scene: Scene, rows: Places, drive: Array, approach: Array, deepest: Array, linear: bool
 ) -> dict[str, Array]:
     """Larger contact force and energy of both contacts in scaled variables, (...) of rows (...);
     drive, approach, deepest: of both contacts (..., 2), see `_Course`.
 
     The energy is (2/5) sum x^(5/2), theory (18), or (2/5) q (x - x_r), (C10), if contacts yield or
-    differ.
+    differ; that of springs, whose force is the approach, is q x/2.
     """
     largest = drive.max(axis=-1)
-    if scene.by_hertz:
+    if scene.by_hertz and not linear:
         energy = 0.4 * (np.square(approach) * np.sqrt(approach)).sum(axis=-1)
         return {"force": largest**1.5, "energy": energy}
+    share = 0.5 if linear else 0.4
     energy = np.zeros_like(largest)
     unit = scene.scales.approach[rows]
     for pole, partner in enumerate(scene.partners):
@@ -218,7 +223,7 @@ def _loads(
             depth = deepest[..., pole] * unit / face.onset_approach
             dent = (depth - face.recovery(depth)) * face.onset_approach / unit
             above = above - np.where(depth > 1.0, dent, 0.0)
-        energy = energy + 0.4 * drive[..., pole] * np.maximum(above, 0.0)
+        energy = energy + share * drive[..., pole] * np.maximum(above, 0.0)
     return {"force": largest, "energy": energy}
 
 
@@ -276,7 +281,8 @@ def _cross(
             np.maximum(polyval(share[:, None], series, tensor=False), 0.0)
             for series in (states, forces)
         )
-        return _loads(scene, rows, drive, approach, np.maximum(before, approach))
+        deepest = np.maximum(before, approach)
+        return _loads(scene, rows, drive, approach, deepest, courses[0].linear)
 
     high = _SHARES[at % ORDER]
     _, high = bisect(

@@ -216,12 +216,9 @@ def fractures_of(
 ) -> Fractures:
     """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
     paths = (path_of(name, study.demands) for name in quantities)
-    fidelity = "full"
-    if study.model.fidelity == "massless":
-        fidelity = "massless"
     return first_fractures(
         scene_at(study, names, rows),
         shares,
         [*filter(None, paths)],
-        fidelity=fidelity,
+        fidelity=study.model.fidelity,
     )
