@@ -107,7 +107,7 @@ def _face(motion: Motion, pole: int, gap: Array, force: Array) -> tuple[Array, .
     none = np.zeros_like(gap)
     if partner is None:
         return (none,) * 5
-    if motion.forces is None or partner.face is None or not partner.face.own[motion.row]:
+    if motion.forces is None or partner.face is None:
         beta = float(partner.hertz_constant[motion.row])
         pressed = np.maximum(gap, 0.0)
         radius = np.sqrt(float(partner.effective_radius[motion.row]) * pressed)

@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import EXAMPLE
 
+from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.yielding import Face, metal_onset
+from uqsphere.models.scene import solve_scene
 
 THETA = Path(__file__).parent / "data" / "face_law.csv"
 
@@ -123,3 +126,19 @@ def test_far_beyond_onset_restitution_falls_as_johnson_says():
 
 def test_metal_begins_to_yield_at_sixteen_tenths_of_its_strength():
     assert metal_onset(np.array([1.9e9]), 0.3) == pytest.approx(3.069e9, rel=1e-3)
+
+
+@pytest.mark.parametrize("rig", ["platens", "bars"])
+def test_a_row_that_never_yields_beside_one_that_does_is_hertz(rig: str) -> None:
+    numbers = EXAMPLE | {"sphere.hardness": 6e9}
+    if rig == "platens":
+        numbers = {name: x for name, x in numbers.items() if name.startswith("sphere")}
+        numbers |= {"platens.E": 210e9, "platens.nu": 0.3, "platens.force": 5e3}
+    columns = {name: np.full(2, value) for name, value in numbers.items()}
+    elastic = solve_scene(Scene(columns=columns, rig=rig))
+    columns["sphere.onset_pressure"] = np.array([1e9, np.inf])
+    mixed = solve_scene(Scene(columns=columns, rig=rig, contact_law="plastic"))
+    assert mixed.status.tolist() == [0, 0]
+    for name, values in elastic.values.items():
+        assert mixed.values[name][1] == pytest.approx(values[1], rel=1e-6), name
+    assert mixed.values["p_max"][0] < elastic.values["p_max"][0]

@@ -509,3 +509,15 @@ def test_an_end_of_the_free_number_without_a_scene_has_its_line(tmp_path: Path) 
     assert second.startswith(
         f"{path}:{line}: margins.between[1]: 5 m for striker.length: the pulse"
     )
+
+
+@pytest.mark.parametrize("between", [[-1e308, 1e308], [1e-300, 1e100]])
+def test_a_range_wider_than_numbers_reach_is_refused(between: list[float]) -> None:
+    limit = {"quantity": "y", "strength": 5.0, "aim": "survive", "target": 0.01}
+    with pytest.raises(StudyError, match=r"margins.between: the two values are too far apart"):
+        Study(
+            inputs={"x": 1.0},
+            outputs="y",
+            limits={"a": limit},
+            margins={"solve": "x", "between": between},
+        )

@@ -238,7 +238,7 @@ def _pressed(course: Motion, states: Array, forces: Array) -> Pair:
             continue
         force = forces[pole]
         gap = gaps[pole]
-        if partner.face is None or not partner.face.own[row]:
+        if partner.face is None:
             radii[pole] = contact.contact_radius(gap, partner.effective_radius[row])
             continue
         law = partner.face.at(row)

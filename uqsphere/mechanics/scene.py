@@ -511,6 +511,7 @@ def _partner(scene: Scene, pole: int) -> Partner:
     if scene.contact_law == "plastic":
         law = law_of(c, body, at_onset=scene.hardness_at_onset)
         if not np.isinf(law.onset).all():
+            law = law.with_finite_onset(modulus)
             face = Face(**law._asdict(), modulus=modulus, effective_radius=radius)
             takes = np.where(sphere_body(c).onset < body.onset, 1.0, 0.0)
     return Partner(

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, frozen, quiet
+from uqsphere.arrays import Array, Places, Values, frozen, quiet
 
 from . import contact
 from .roots import newton
@@ -62,6 +62,17 @@ class ContactParameters(NamedTuple):
     onset: Array
     hardness: Array
     pile_up: Array
+
+    def with_finite_onset(self, modulus: Array) -> ContactParameters:
+        """The parameters with an onset out of reach in rows that are elastic, far above E* [Pa]."""
+        onset, hardness, pile_up = self
+        elastic = np.isinf(onset)
+        never = 1e3 * modulus
+        return ContactParameters(
+            np.where(elastic, never, onset),
+            np.where(elastic, never, hardness),
+            np.where(elastic, 1.0, pile_up),
+        )
 
 
 def metal_body(yield_strength: Array, nu: Array) -> ContactParameters:
@@ -210,19 +221,13 @@ class Face:
     @property
     @quiet
     def valid(self) -> Values:
-        """Rows with valid parameters: b = 0, or 0.2 <= b <= 100; or elastic, with infinite onset.
+        """Rows with valid parameters: b = 0, or 0.2 <= b <= 100.
 
         Between 0 and 0.2 the law has a singularity near onset; above 100 it is Hertz's to rounding.
         """
-        elastic = np.isinf(self.onset)
-        b = np.where(elastic, 1.0, self.softening)
+        b = self.softening
         ordered = (self.pile_up >= 1.0) & (self.onset > 0.0) & (self.hardness >= self.onset)
-        return elastic | (ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0))))
-
-    @property
-    def own(self) -> Flags:
-        """Rows that can yield."""
-        return np.isfinite(self.onset)
+        return ordered & ((np.abs(b) < 1e-12) | ((b >= 0.2) & (b <= 100.0)))
 
     @property
     def onset_approach(self) -> Array:

@@ -586,6 +586,11 @@ def _margins(draft: Draft) -> Faults:
             f"must be [low, high], not [{', '.join(map(shown, table.between))}]. Swap the values",
             "margins.between",
         )
+    apart = ends[1] - ends[0]
+    if ends[0] > 0.0:  # their ratio, as the values between them
+        apart = ends[1] / ends[0]
+    if not math.isfinite(apart):
+        raise Fault("the two values are too far apart for a range of numbers", "margins.between")
     for limit in draft.limits.values():
         tested = limit.tested
         if solve == "sphere.radius" and tested:

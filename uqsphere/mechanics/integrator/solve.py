@@ -191,7 +191,7 @@ class Motion:
         partner = self.scene.partners[pole]
         if partner is None:
             return np.zeros_like(force)
-        if partner.face is not None and partner.face.own[self.row]:
+        if partner.face is not None:
             law = partner.face.at(self.row)
             return law.pressed(law.depth_at(np.asarray(force))).p_max
         return contact.pressure_at_force(
