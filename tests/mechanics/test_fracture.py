@@ -193,7 +193,9 @@ def test_a_linear_contact_breaks_along_its_own_course() -> None:
         np.testing.assert_allclose(reached, shares[:, 0] * largest.values[name], rtol=1e-4)
 
 
-def test_a_run_of_the_linear_model_tells_the_force_at_which_its_spheres_break(tmp_path: Path) -> None:
+def test_a_run_of_the_linear_model_tells_the_force_at_which_its_spheres_break(
+    tmp_path: Path,
+) -> None:
     text = """
         sphere = { E = "52 GPa", nu = 0.25, radius = "10 mm", density = "2650 kg/m3" }
         bars = { material = "maraging_steel", diameter = "40 mm", infinite = true }

@@ -67,6 +67,29 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     assert len(pd.read_csv("s-sweep/sweep.csv")) == 3
 
 
+def test_a_sweep_without_limits_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    plain = STUDY[: STUDY.index("[limits.high]")] + STUDY[STUDY.index("[analysis]") :]
+    Path("s.toml").write_text(plain)
+    assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 0
+    for text in (capsys.readouterr().out, Path("s-sweep/report.html").read_text("utf-8")):
+        assert "No limit state is defined" in text
+        assert "at the plan" not in text
+    assert pd.read_csv("s-sweep/sweep.csv").empty
+
+
+def test_the_table_of_a_sweep_has_the_outer_ends_of_the_answers() -> None:
+    assert main([*SWEEP, "--over", "inputs.c=1"]) == 0
+    table = pd.read_csv("s-sweep/sweep.csv")
+    for row in table.itertuples():
+        answers = pd.read_csv(f"s-sweep/{row.folder}/answers.csv")
+        (answer,) = answers[answers["subject"] == "decision.survive"].head(1).itertuples()
+        assert answer.answer == "failure_probability"
+        ends = (row.low, row.high, row.low_unseen, row.high_unseen)
+        told = (answer.low, answer.high, answer.low_unseen, answer.high_unseen)
+        assert ends == pytest.approx(told, rel=1e-12)
+    assert (table["high_unseen"] >= table["high"]).all()
+
+
 @pytest.mark.parametrize("width", [79, 60, 50])
 def test_the_terminal_has_every_head_and_value_whole(width: int) -> None:
     head = ("target.thickness", "sphere.radius", "decision", "fracture probability at the plan")

@@ -11,7 +11,7 @@ import numpy as np
 
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability, format_together
-from uqsphere.results.types import Caveat, CheckEntry, Grade
+from uqsphere.results.types import Caveat, CaveatCode, CheckEntry, Grade
 from uqsphere.study import Limit
 from uqsphere.study.values import FARTHEST_SIZE
 from uqsphere.uq import Law
@@ -54,7 +54,7 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
         for check in _breaches(plan, design.limits):
             worst = max(check.failures.values(), default=0.0)
             effect = ""
-            if worst:
+            if worst and check.grade == "failure":
                 limit = max(design.limits, key=lambda limit: check.failures.get(limit.name, 0.0))
                 event = "failures" if limit.aim == "survive" else "samples that do not break"
                 effect = f"{format_probability(worst)} of the {event} are among them"
@@ -114,9 +114,10 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
 
 def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -> Iterator[Check]:
     """The checks that rows breach, with the share of each limit's failures in rows that fail them;
-    a warning of `yields` is enough.
+    a warning of `yields`, or of the range of a limit's criterion, is enough.
     """
     design = line.design
+    warned = (*yields, *map(_range_of, limits))
     current = {limit.name: limit for limit in design.judged.limits}
     weights = {}
     for limit in limits:
@@ -124,7 +125,7 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
         weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit)).ravel()
     for result in checked_rows(design.judged, *input_rows(line.rows), design.columns):
         beyond = result.grades >= 3
-        if result.check in yields:
+        if result.check in warned:
             beyond = result.grades >= 2
         if result.grade:
             yield Check(
@@ -219,6 +220,11 @@ _RANGE = ("small_contact", "deep_dent", "plastic_range")
 _YIELD = ("bar_yield_contact", "sphere_yield_contact", "face_yield")
 
 
+def _range_of(limit: Limit) -> str:
+    """The check of the range of a limit's criterion."""
+    return f"range_of_{limit.quantity}"
+
+
 def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     """Why the verdict of an aim is not established; nothing where nothing holds it."""
     design = settled.aim.design
@@ -250,18 +256,22 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
 
 
 def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
-    """Checks that fail in the rows that fail: those of the plan, and those of the model's range at
-    the number to use, where contacts can yield by contacts that do.
+    """Checks that fail in the rows that fail, and criteria that are extrapolated there: those of
+    the plan, and those of the model's range at the number to use, where contacts can yield by
+    contacts that do.
     """
     study = settled.aim.design.study
     limits = settled.aim.limits
     line = settled.line
+    accuracy = study.analysis.accuracy.probability
     failing: dict[str, tuple[float, str]] = {}
     at_number = {}
+    ranges = [*map(_range_of, limits)]
     for check in checks:
         for limit in limits:
             share = check.failures.get(limit.name, 0.0)
-            if check.grade == "failure" and share > limit.target:
+            extrapolated = check.name == _range_of(limit) and share > accuracy
+            if extrapolated or (check.grade == "failure" and share > limit.target):
                 failing.setdefault(check.name, (share, check.text))
     if settled.use is not None and not study.black_box:
         nearest = line.values[np.argmin(np.abs(line.places - line.place_of(settled.use)))]
@@ -273,13 +283,13 @@ def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
             yields = _YIELD
         for check in _breaches(under, limits, yields):
             share = max(check.failures.values(), default=0.0)
-            of_contact = check.name in (*_RANGE, *yields)
-            if of_contact and share > study.analysis.accuracy.probability:
+            if check.name in (*_RANGE, *yields, *ranges) and share > accuracy:
                 at_number[check.name] = (share, f"at the number to use, {check.text}")
         for name, (share, text) in failing.items():
             if name in at_number:
                 failing[name] = share, f"at the plan and at the number to use, {text}"
-            elif name in _RANGE:
+            elif name in (*_RANGE, *ranges):
                 failing[name] = share, f"at the plan, not at the number to use, {text}"
     for name, (share, text) in (at_number | failing).items():
-        yield Caveat(code="model range", subject=name, value=share, text=text)
+        code: CaveatCode = "criterion range" if name in ranges else "model range"
+        yield Caveat(code=code, subject=name, value=share, text=text)

@@ -120,6 +120,7 @@ class Doubt(Alternative):
     single, curve : probability of exceedance (K,) at the unsafe end, of the limit alone and with
         the other failure modes
     opposite : the joint curve at the other end of what tests leave open; None for other doubts
+    failed : what rows that failed add to the joint curve (K,), where they might all be failures
     error : standard error (K,) of the curve by the numerical computation
     margin : where the curve crosses its target; None where the safe end misses it, infinite where
         the whole range keeps it
@@ -130,6 +131,7 @@ class Doubt(Alternative):
     error: Array
     margin: float | None
     opposite: Array | None = None
+    failed: Array | float = 0.0
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -418,14 +420,30 @@ class Curves:
             lost = self._lost(failed)
             if not self.survive:
                 lost = -lost
-            curves[k] = np.clip(curves[k] + lost, 0.0, 1.0)
+            known = curves[k]
+            curves[k] = np.clip(known + lost, 0.0, 1.0)
             carried_by[k] = np.add(carried_by[k], [part.sum() for part in failed]).tolist()
         doubt = self._doubt(Alternative(code="computation", limit=limit), curves, base[1])
+        doubt = replace(doubt, failed=curves[1] - known)
         if doubt.margin is not None and math.isfinite(doubt.margin):
             above = int(np.searchsorted(self.line.values, doubt.margin))
             if max(carried_by[1][max(above - 1, 0) : above + 1]) < FEWEST:
                 return replace(doubt, margin=None)
         return doubt
+
+    def is_lost_by_failed(self, doubt: Doubt) -> bool:
+        """Whether a limit, as computed, keeps its target at the plan or somewhere along the line,
+        and nowhere where all rows that failed would miss it.
+        """
+        limit = doubt.limit
+        middle = self.middle(limit)
+
+        def keeps(curve: Array) -> bool:
+            if len(curve) > 1:
+                return self.margin(limit, curve) is not None
+            return bool(limit.missed(curve[0]) <= limit.target)
+
+        return keeps(middle) and not keeps(middle + doubt.failed)
 
     def _lost(self, failed: Sequence[Flags]) -> Array:
         """The shares (K,) that rows of each value which failed may stand for: no more than at a

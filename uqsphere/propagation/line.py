@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,11 +42,13 @@ class Line:
 
     samples : the rows at each of K values; at nan for the plan
     compared : the rows of a slow model that they are predicted from
+    stronger : what strengths are multiplied by, by the names of their limits
     """
 
     design: Design
     samples: Mapping[float, Sample]
     compared: Compared | None = None
+    stronger: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def values(self) -> tuple[float, ...]:
@@ -104,7 +106,8 @@ class Line:
         state = state_of(self.design, limit, self.rows)
         margins = self.design.study.margins
         factors = [demand_factor(margins, limit, value) for value in self.values]
-        return replace(state, demands=state.demands * np.repeat(factors, self.counts))
+        by_row = np.repeat(factors, self.counts) / self.stronger.get(limit.name, 1.0)
+        return replace(state, demands=state.demands * by_row)
 
     def by_value(self, rows: Array) -> list[Array]:
         """Rows (R, N) apart, a part for each value."""
@@ -309,7 +312,7 @@ class YieldingRows:
             samples[value] = self.evaluated[value].head(sample.count)
             if samples[value].failed.all():
                 return None
-        return Line(design=self.design, samples=samples)
+        return Line(design=self.design, samples=samples, stronger=line.stronger)
 
 
 def yielding_rows(design: Design) -> YieldingRows | None:

@@ -26,6 +26,7 @@ from uqsphere.results.types import (
     MarginNote,
     NeededStrength,
     Range,
+    RateRange,
     Remedy,
     RemedyCode,
     TestsGain,
@@ -33,6 +34,7 @@ from uqsphere.results.types import (
     VerdictWord,
 )
 from uqsphere.study import Limit
+from uqsphere.study.limits import DYNAMIC
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates
 from uqsphere.uq.estimate import SURE, spread
 
@@ -275,6 +277,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         band=_band(settled),
         doubts=_certificate(judged),
         caveats=caveats,
+        rate=_rate(judged, caveats),
         library=library,
         next=_remedy(judged, verdict, caveats, library),
     )
@@ -381,6 +384,23 @@ def _library(judged: Judged) -> LibraryRange | None:
     )
 
 
+def _rate(judged: Judged, caveats: Sequence[Caveat]) -> RateRange | None:
+    """What the loading rate would make of the number, where strengths of quasi-static tests are
+    taken for those of a rig that loads dynamically.
+    """
+    rated = [caveat.subject for caveat in caveats if caveat.code == "rate"]
+    names = [limit.name for limit in judged.aim.limits if limit.strength_name in rated]
+    line = judged.line
+    if not names or line is None or line.line.compared is not None:
+        return None
+    numbers = []
+    for factor in DYNAMIC:
+        stronger = replace(line.line, stronger=dict.fromkeys(names, factor))
+        number = replace(line, line=stronger).number
+        numbers.append(line.ends[1] if number == math.inf else number)
+    return RateRange(factors=DYNAMIC, least=numbers[0], most=numbers[1])
+
+
 # --- the certificate ------------------------------------------------------------------------------
 
 
@@ -452,12 +472,12 @@ def _verdict(judged: Judged, caveats: Sequence[Caveat]) -> VerdictWord:
     """
     if not judged.aim.has_target:
         return "no target"
-    if any(caveat.code != "rate" for caveat in caveats):
+    if any(caveat.code not in _HOLD_MET for caveat in caveats):
         return "not established"
     doubts = judged.plan.doubts
     kept_by = [doubt.limit.name for doubt in doubts if _keeps(judged, doubt)]
     if len(kept_by) == len(doubts):
-        # an effect on the unsafe side that nobody put a number on holds only what is met
+        # what nobody put a number on for sure holds only what is met
         return "not established" if caveats else "met"
     for limit in judged.aim.limits:
         met = judged.all_modes[limit.name].meets(limit.target)
@@ -487,6 +507,8 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     return bool(limit.missed(doubt.curve[0]) <= limit.target)
 
 
+#: caveats that hold only a verdict that is met
+_HOLD_MET = ("rate", "criterion range")
 #: the remedy of each doubt
 _REMEDIES: dict[DoubtCode, RemedyCode] = {
     "assumed strength": "measure the strength",
@@ -511,42 +533,74 @@ def _remedy(
     caveats: Sequence[Caveat],
     library: LibraryRange | None = None,
 ) -> Remedy:
-    """What to do next, for the doubt that governs; first for a caveat that no measurement lifts; of
-    a target that is met, to measure a strength of the library whose weak end would miss it.
-    """
-    settled = judged.settled
+    """What to do next: first for a caveat that no measurement lifts, else for what governs."""
     line = judged.line
-    governing = settled.governing
+    governing = judged.settled.governing
     design = judged.aim.design
     subject = design.subject(governing.limit)
     if verdict == "no target":
         return Remedy(code="set a target", subject=design.subject(judged.lead))
-    # of caveats of a kind, that on the limit that governs
+    cure = _cure(subject, verdict, caveats)
+    if cure is not None:
+        return cure
+    if judged.contradicted:
+        return Remedy(code="change the plan", subject=subject)
+    if line is not None and governing.code != "assumed strength" and line.use is None:
+        return _without_number(line, governing, subject)
+    if verdict == "met":
+        return _of_met(judged, library)
+    return _of_doubt(judged, verdict, caveats)
+
+
+def _cure(subject: str, verdict: VerdictWord, caveats: Sequence[Caveat]) -> Remedy | None:
+    """What lifts the most urgent caveat, of caveats of a kind that on the subject that governs;
+    None where a measurement might. A criterion that is extrapolated is urgent where it alone holds
+    the verdict.
+    """
     ranked = sorted(caveats, key=lambda caveat: not f"{caveat.subject}.".startswith(f"{subject}."))
     for code, cure in _CURES.items():
         for caveat in ranked:
             if caveat.code == code:
                 return Remedy(code=cure, subject=caveat.subject)
+    if verdict == "not established" and {caveat.code for caveat in caveats} == {"criterion range"}:
+        return Remedy(code="leave the model's range", subject=caveats[0].subject)
+    return None
+
+
+def _without_number(line: Settled, governing: Doubt, subject: str) -> Remedy:
+    """What gives a number where none is known, or an end to what is safe."""
+    if line.number is not None:
+        return Remedy(code="widen the range", subject="margins.between")
     at_best = None
-    if judged.contradicted:
-        return Remedy(code="change the plan", subject=subject)
-    if line is not None and governing.code != "assumed strength" and line.use is None:
-        unknown = line.number is None
-        if unknown and len(judged.aim.limits) > 1:
-            at_best = line.once_gone(governing)
-        if unknown and line.best_estimate is not None and governing.code == "computation":
-            return Remedy(code="tighten the accuracy", subject=subject, at_best=at_best)
+    if len(line.aim.limits) > 1:
+        at_best = line.once_gone(governing)
+    if line.best_estimate is None or governing.code != "computation":
         return Remedy(code="widen the range", subject="margins.between", at_best=at_best)
-    if verdict == "met":
-        planned = design.planned
-        if library is None or planned is None:
-            return Remedy(code="nothing")
-        if library.weak is not None and settled.is_safe(planned, library.weak):
-            return Remedy(code="nothing")
-        return Remedy(code="measure the strength", subject=f"modes.{library.mode}")
-    deciding = governing
-    if governing.code == "computation" != settled.setting.code:
-        deciding = settled.setting
+    code: RemedyCode = "tighten the accuracy"
+    if line.is_lost_by_failed(governing):
+        code = "mend the model"
+    return Remedy(code=code, subject=subject, at_best=at_best)
+
+
+def _of_met(judged: Judged, library: LibraryRange | None) -> Remedy:
+    """Of a target that is met, to measure a strength of the library whose weak end would miss
+    it.
+    """
+    planned = judged.aim.design.planned
+    if library is None or planned is None:
+        return Remedy(code="nothing")
+    if library.weak is not None and judged.settled.is_safe(planned, library.weak):
+        return Remedy(code="nothing")
+    return Remedy(code="measure the strength", subject=f"modes.{library.mode}")
+
+
+def _of_doubt(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> Remedy:
+    """What helps against the doubt that governs, and what that would buy."""
+    line = judged.line
+    design = judged.aim.design
+    deciding = judged.settled.governing
+    if deciding.code == "computation" != judged.settled.setting.code:
+        deciding = judged.settled.setting
     if deciding.code == "computation" and verdict == "undecided":
         deciding = _disagreeing(judged)
     remedy = _REMEDIES.get(deciding.code)
@@ -555,8 +609,11 @@ def _remedy(
         subject = f"the dependence of {deciding.limit.strength_name}"
     if remedy is None and verdict == "undecided":
         remedy = "tighten the accuracy"
+        if judged.plan.is_lost_by_failed(deciding):
+            remedy = "mend the model"
     if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):
         remedy = "replace the synthetic tests"
+    at_best = None
     gains: list[TestsGain] = []
     if remedy is not None and line is not None:
         at_best = line.once_gone(deciding)

@@ -114,7 +114,7 @@ class DecisionText:
             parts.insert(0, self._why_none)
         else:
             used = self.number(use.value)
-            parts.append(self._governs)
+            parts += [self._governs, self._rate]
         library = decision.library
         if library and not self._library_governs and self.number(library.weak) != used:
             mode = capital(library.mode)
@@ -314,6 +314,21 @@ class DecisionText:
         return f"{text}."
 
     @property
+    def _rate(self) -> str:
+        """What the rate of loading would make of the number."""
+        rate = self.decision.rate
+        if not rate:
+            return ""
+        least, most = rate.factors
+        allowed = "leave no number"
+        if rate.least is not None:
+            allowed = f"make it {self._allowed(rate.least)}"
+            last = "none" if rate.most is None else self.number(rate.most)
+            if not allowed.endswith(f" {last}"):
+                allowed += f" to {last}"
+        return f"The loading rate ({least:g} to {most:g} times as strong) would {allowed}."
+
+    @property
     def _library_governs(self) -> bool:
         """Whether the strength of the library that is told of is that of what governs."""
         library = self.decision.library
@@ -342,6 +357,8 @@ class DecisionText:
         if decision.blocked_by:
             name = capital(plain_name(decision.blocked_by))
             allowed = decision.target or 0.0
+            if decision.next.code == "mend the model":
+                return f"{name} keeps its target only if the model runs that failed keep it."
             if any(point.value is not None and point.value < allowed for point in decision.curve):
                 return (
                     f"{name} misses its target at the safe end, or too few model runs tell where "
@@ -396,6 +413,12 @@ class DecisionText:
             yield reason.format(listed(words))
         if decision.verdict == "undecided":
             yield from self._undecided()
+        if decision.verdict == "met" and decision.next.code == "measure the strength":
+            name = plain_name(decision.next.subject)
+            yield (
+                f"at the weak end of the library's strength for {name} the planned value misses "
+                "the target"
+            )
         told = {caveat.subject for caveat in decision.caveats}
         for check in self.results.checks:
             if check.grade == "failure" and check.name not in told:
@@ -445,6 +468,10 @@ _REMEDIES = {
     "check the input": "Check {subject}",
     "replace the synthetic tests": "Replace the synthetic tests by measured ones",
     "include the rate": "{way}",
+    "mend the model": (
+        "Mend the model where its runs fail, or leave such inputs out: what these runs would have "
+        "been decides"
+    ),
     "leave the model's range": "Choose a plan within the model's range: {subject}",
 }
 

@@ -24,14 +24,14 @@ from uqsphere.models.workers import is_closed
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.results import Run, open_run
 from uqsphere.results.folder import locked, sums_of, write_files
-from uqsphere.results.types import Decision, Results
+from uqsphere.results.types import Decision, Kind, Range, Results
 from uqsphere.study import Study
 
 from .figures import Picture, svg
 from .format import capital, plain_name, with_unit
 from .page import render
 from .pictures import COLOURS
-from .sentences import DecisionText, chart_title, exceedance_name, joint_event
+from .sentences import NO_LIMIT, DecisionText, as_event, chart_title, exceedance_name, joint_event
 from .tables import PageTable, columns
 
 if TYPE_CHECKING:
@@ -242,6 +242,7 @@ def write_sweep(sweep: Sweep) -> Path:
         planned=len(sweep.points),
         pictures=pictures,
         decisions=_decisions(sweep),
+        no_limit=NO_LIMIT,
         points=[point.name for point in sweep.points if point.name in sweep.runs],
     )
     files = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
@@ -254,8 +255,8 @@ def sweep_table(sweep: Sweep) -> pd.DataFrame:
     """One row a point and decision, SI units.
 
     Columns: the keys as they were written, aim, use, use_low, use_high (the number to use, and the
-    range of its best estimate), probability, low, high (of fracture, or of exceedance, at the
-    plan), verdict, governing, runs, folder.
+    range of its best estimate), probability, low, high, low_unseen, high_unseen (of fracture, or of
+    exceedance, at the plan; the last two as in answers.csv), verdict, governing, runs, folder.
     """
     import pandas as pd
 
@@ -265,9 +266,16 @@ def sweep_table(sweep: Sweep) -> pd.DataFrame:
         if decision.use:
             use = [decision.use.value, decision.use.best.low, decision.use.best.high]
         p = joint_event(decision)
+        (row,) = results.where(f"decision.{decision.aim}", Kind.FAILURE_PROBABILITY)
+        unseen = Range(low=row.low_unseen, high=row.high_unseen)
+        outer = as_event(decision.aim, unseen)
+        ends = (p.value, p.low, p.high, outer.low, outer.high)
         verdict = (decision.verdict, decision.governing, results.accuracy.runs, point.name)
-        rows.append([*point.values.values(), decision.aim, *use, p.value, p.low, p.high, *verdict])
-    names = "aim use use_low use_high probability low high verdict governing runs folder"
+        rows.append([*point.values.values(), decision.aim, *use, *ends, *verdict])
+    names = (
+        "aim use use_low use_high probability low high low_unseen high_unseen verdict governing "
+        "runs folder"
+    )
     return pd.DataFrame(rows, columns=[*sweep.keys, *names.split()])
 
 
@@ -290,6 +298,8 @@ def _decisions(sweep: Sweep) -> PageTable:
         governs = plain_name(decision.governing)
         told = (text.use, text.together, decision.verdict, governs)
         rows.append((*point.values.values(), *told))
+    if not rows:
+        return PageTable()
     head = (*sweep.keys, "decision", f"{event} at the plan", "verdict", "governs")
     return PageTable("Decisions", head, rows)
 
@@ -297,12 +307,17 @@ def _decisions(sweep: Sweep) -> PageTable:
 def sweep_text(sweep: Sweep, width: int) -> str:
     """The table of a sweep for a terminal."""
     table = _decisions(sweep)
-    return "\n".join([sweep.title, "", *columns([table.head, *table.rows], width)])
+    lines = [NO_LIMIT]
+    if table.rows:
+        lines = columns([table.head, *table.rows], width)
+    return "\n".join([sweep.title, "", *lines])
 
 
 def _pictures(sweep: Sweep, frame: pd.DataFrame) -> dict[str, Picture]:
     """The number to use, and the probability at the plan, over the first key."""
     pictures = {}
+    if frame.empty:
+        return {}
     first = next(iter(sweep.runs.values())).results
     shown = [("sweep-plan", f"{chart_title(first)} at the plan", "probability", "%", 100.0)]
     if first.study.free:
