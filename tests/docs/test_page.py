@@ -174,3 +174,15 @@ def test_a_range_in_a_source_is_no_interval_of_an_estimate() -> None:
     assert "<small" in _cell("2.77 (2.44 to 3.10) GPa")
     assert "<small" in _cell("0.201 % (0.201 to 0.202 %)")
     assert "<small" not in _cell("From memory of a handbook (0.7 to 1.0 GPa)")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_two_decisions_leave_the_description_to_the_column_of_the_chart(count: int) -> None:
+    """All of a first screen is to be seen in 900 px of height."""
+    results = results_of(next(path for path in REPORTS if path.parent.name == "granite"))
+    html = page(results.model_copy(update={"decisions": results.decisions * count}))
+    words = re.search(r"random inputs: [^,]+", html)
+    assert words is not None
+    assert html.count(words[0]) == 1
+    assert (words.start() > html.index('class="wide"')) == (count > 1)
+    assert html.count('class="top several"') == (count > 1)
