@@ -216,7 +216,7 @@ def test_the_share_of_rows_outside_the_range_of_a_criterion():
     assert check.share == 0.25
     assert check.text.startswith("25 % of the samples")
     # only what lies outside is named, with the value furthest out
-    assert check.text.endswith("equal forces), a/r = 0.35; the value at the table edge is used")
+    assert check.text.endswith("equal forces), a/r = 0.35: the value at the table edge is used")
 
 
 def test_no_answer_at_all():

@@ -84,6 +84,33 @@ def test_the_number_does_not_depend_on_the_plan(aim: str, end: str) -> None:
     assert numbers[0] < own if aim == "survive" else numbers[0] > own
 
 
+@pytest.mark.parametrize("planned", [0.6, 0.1])
+def test_a_range_that_does_not_reach_the_plan_says_nothing_of_it(
+    planned: float, tmp_path: Path
+) -> None:
+    """The tests of the strength leave 6 % open at 0.6, beyond a range that keeps its target."""
+    values = np.exp(0.1 * stats.norm.ppf((np.arange(8) + 0.5) / 8.0))
+    table = "s\n" + "\n".join(f"{value:.6g}" for value in values)
+    (tmp_path / "tests.csv").write_text(table, encoding="utf-8")
+    text = f"""
+        inputs.load = {{ dist = "lognormal", mean = {planned}, cov = 0.1 }}
+        outputs.names = ["y", "z"]
+        limits.a.quantity = "y"
+        limits.a.target = 0.01
+        limits.a.strength = {{ file = "tests.csv", column = "s", fit = "lognormal" }}
+        margins = {{ solve = "load", between = [0.05, 0.2] }}
+        analysis.accuracy = {{ mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.1 }}
+        """
+    study = load_study(tmp_path / "study.toml", text=text)
+    results = uqsphere.run(study, doubled).results
+    (decision,) = results.decisions
+    assert decision.use is None
+    assert decision.verdict == ("met" if planned < 0.2 else "undecided")
+    (words,) = decision_texts(results)
+    assert words.use == "Use any value between 0.05 and 0.2"
+    assert any("up to" in line for line in words.open) == (planned > 0.2)
+
+
 def test_every_limit_keeps_its_own_target() -> None:
     (decision,) = decided({"a": limit("survive", 0.2), "b": limit("survive", 0.01, quantity="z")})
     assert {(row.subject, row.target) for row in decision.doubts} == {

@@ -30,7 +30,7 @@ Demands = Mapping[str, tuple[str, Parameters]]
 #: Auerbach's constant of a ring crack, P_C = A K_Ic²/E r (Lawn 1998)
 AUERBACH = 8.6e3
 #: demand, over the largest fracture energy, of energies that break every particle
-_CERTAIN = 1e9
+CERTAIN = 1e9
 #: every parameter of every criterion
 PARAMETERS = declared("parameters.toml", Quantity)
 
@@ -225,8 +225,8 @@ def _specific_energy(c: ColumnMap, name: str) -> Values:
     if "largest_energy" not in c:
         return energy
     top = c["largest_energy"]
-    equivalent = np.minimum(top * energy / (top - energy), _CERTAIN * top)
-    return np.where(energy < top, equivalent, _CERTAIN * top)
+    equivalent = np.minimum(top * energy / (top - energy), CERTAIN * top)
+    return np.where(energy < top, equivalent, CERTAIN * top)
 
 
 #: formula of every criterion, without the rate effect

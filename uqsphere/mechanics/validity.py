@@ -479,7 +479,7 @@ def _check_range(
     rule = Rule(
         name=f"range_of_{quantity}",
         words=f"{criterion.name} is outside its range ({criterion.range_text}), "
-        f"{', '.join(outside)}; {consequence}",
+        f"{', '.join(outside)}: {consequence}",
         warning=0.5,
     )
     return replace(_check(rule, measures, is_outside), worst=None)

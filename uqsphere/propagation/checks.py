@@ -9,6 +9,7 @@ from typing import get_args
 
 import numpy as np
 
+from uqsphere.mechanics.criteria import CERTAIN
 from uqsphere.models.scene import checked_rows, hardness_of, later_loading
 from uqsphere.quantities import format_probability, format_together
 from uqsphere.results.types import Caveat, CaveatCode, CheckEntry, Grade
@@ -199,9 +200,19 @@ def _searches(tables: Tables) -> Iterator[Check]:
 
 
 def _heavy_tails(tables: Tables) -> Iterator[Check]:
-    """Outputs whose variance may not exist, by Hill's rule."""
+    """Outputs whose variance may not exist, by Hill's rule, and demands that nothing bears."""
     for name in tables.design.described:
         values = tables.sample.outputs(name)
+        _, parameters = tables.design.study.demands.get(name, ("", {}))
+        certain = values >= CERTAIN * parameters.get("largest_energy", math.inf)
+        if certain.any():
+            yield Check(
+                name=f"certain_{name}",
+                grade="warning",
+                text=f"{name}: {format_probability(certain.mean())} of the samples reach "
+                "largest_energy, at which every sphere breaks",
+                effect="read quantiles; do not use mean, standard deviation and indices",
+            )
         reason = heavy_tail(values)
         if reason and np.isfinite(values).sum() >= 1000:
             yield Check(

@@ -138,8 +138,12 @@ class Settled(Curves):
         )
 
     def is_safe(self, value: float, margin: float) -> bool:
-        """Whether a value of the free number lies on the safe side of a margin."""
-        if self.safe_above and margin != inf:
+        """Whether a value of the free number lies on the safe side of a margin; of one that is
+        infinite, whether it does not lie beyond the unsafe end, where nothing is known.
+        """
+        if margin == inf:
+            margin = self.ends[1]
+        if self.safe_above:
             return value >= margin
         return value <= margin
 

@@ -425,7 +425,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
             note = "too few rows"
     elif doubt.margin == math.inf:
         note = "everywhere"
-    at_number = at_plan = None
+    at_number = at_plan = bound = None
     if settled.use is not None:
         at_number = limit.missed(settled.line.at(doubt.curve, settled.use))
     for planned in judged.plan.doubts:
@@ -442,6 +442,8 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
             _, high = computed.outer
         if high is not None:
             at_plan = high
+        if high and not computed.value:
+            at_plan, bound = 0.0, high
         # tests that are carried over in another way than by the limit that counts as fracture
         if any(limit in group[1:] for group in aim.groups):
             code = "carrier"
@@ -454,7 +456,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
         margin=doubt.margin,
         margin_note=note,
         at_number=Range(value=at_number),
-        at_plan=Range(value=at_plan),
+        at_plan=Range(value=at_plan, high=bound),
         sets=doubt.key == settled.named.key,
         governs=doubt.key == settled.governing.key,
         counts=code != "assumed strength" or limit in [mode.limit for mode in aim.modes],
@@ -494,6 +496,8 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     planned = judged.aim.design.planned
     limit = doubt.limit
     by_margin = True
+    if margin == math.inf and planned is not None and not judged.settled.is_safe(planned, margin):
+        margin = None  # the line does not reach the plan
     if margin is not None and planned is not None:
         by_margin = judged.settled.is_safe(planned, margin)
         if doubt.code != "computation":

@@ -114,7 +114,8 @@ class DecisionText:
             parts.insert(0, self._why_none)
         else:
             used = self.number(use.value)
-            parts += [self._governs, self._rate]
+            parts.append(self._governs)
+        parts.append(self._rate)
         library = decision.library
         if library and not self._library_governs and self.number(library.weak) != used:
             mode = capital(library.mode)
@@ -142,7 +143,7 @@ class DecisionText:
         computed = (decision.all_modes or decision.probability).value or 0.0
         for doubt in self._setting:
             worst = self._probability(doubt.at_plan)
-            worse = (doubt.at_plan.value or 0.0) > computed
+            worse = _most(doubt.at_plan) > _most(decision.all_modes or decision.probability)
             open_ends = doubt.code not in ("computation", "assumed strength")
             if open_ends and worse and worst != together:
                 clause = _words(doubt)[0]
@@ -317,11 +318,13 @@ class DecisionText:
     def _rate(self) -> str:
         """What the rate of loading would make of the number."""
         rate = self.decision.rate
-        if not rate:
+        if not rate or not (self.decision.use or self._kept_everywhere):
             return ""
         least, most = rate.factors
         allowed = "leave no number"
-        if rate.least is not None:
+        if not self.decision.use and rate.least == rate.most is not None:
+            allowed = "not change that"
+        elif rate.least is not None:
             allowed = f"make it {self._allowed(rate.least)}"
             last = "none" if rate.most is None else self.number(rate.most)
             if not allowed.endswith(f" {last}"):
@@ -439,14 +442,15 @@ class DecisionText:
     def _undecided(self) -> Iterator[str]:
         """The doubt under which the planned value misses its target by most."""
         aim = self.decision.aim
-        doubts = [doubt for doubt in self.decision.doubts if doubt.counts and doubt.at_plan.value]
+        doubts = [doubt for doubt in self.decision.doubts if doubt.counts and _most(doubt.at_plan)]
         if doubts:
-            worst = max(doubts, key=lambda doubt: (doubt.at_plan.value or 0.0) / doubt.target)
+            worst = max(doubts, key=lambda doubt: _most(doubt.at_plan) / doubt.target)
             p = probability_at_target(aim, worst.at_plan, worst.target)
-            side = "down to" if aim == "break" else "up to"
+            if worst.at_plan.value:
+                p = f"down to {p}" if aim == "break" else f"up to {p}"
             words = f"({plain_name(worst.subject)}, {_words(worst)[0]})"
             event = self._event_of(worst.subject, [worst])
-            yield f"{event} at the planned value {side} {p} {words}"
+            yield f"{event} at the planned value {p} {words}"
 
 
 _REMEDIES = {
@@ -570,6 +574,11 @@ def _damage_modes(decisions: Sequence[Decision]) -> list[str]:
     """Failure modes that damage the sphere and are not counted as its fracture."""
     doubts = chain.from_iterable(decision.doubts for decision in decisions)
     return [*dict.fromkeys(plain_name(doubt.subject) for doubt in doubts if not doubt.counts)]
+
+
+def _most(p: Range) -> float:
+    """A failure probability, or what it is below."""
+    return p.value or p.high or 0.0
 
 
 def _words(doubt: Doubt) -> tuple[str, str]:

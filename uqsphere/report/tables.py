@@ -181,7 +181,7 @@ def limits(results: Results) -> PageTable:
                 best = _best_estimate(results, subject, entry, free)
             cells.append(best)
             alone = aims.count(entry.aim) == 1
-            cells += _number_to_use(results, subject) if alone else ["", ""]
+            cells += _number_to_use(results, subject, free) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
     for decision in results.decisions:
@@ -220,8 +220,10 @@ def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: Free
     return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
 
 
-def _number_to_use(results: Results, subject: str) -> list[str]:
-    """The free number at the target by the doubts of a limit: its conservative end, and range."""
+def _number_to_use(results: Results, subject: str, free: FreeNumber) -> list[str]:
+    """The free number at the target by the doubts of a limit: its conservative end, and its range
+    with the best estimate.
+    """
     for decision in results.decisions:
         doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
         margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
@@ -232,8 +234,11 @@ def _number_to_use(results: Results, subject: str) -> list[str]:
             return ["not known", DASH]
         if margins:
             worst = max if decision.safe_above else min
-            text = DecisionText(results, decision)
-            return [text.number(worst(margins)), _span(text, min(margins), max(margins))]
+            use = DecisionText(results, decision).number(worst(margins))
+            best = results.get(subject, Kind.MARGIN, results.entries[subject].allowable).value
+            if best is not None:
+                margins.append(best)
+            return [use, value_range(min(margins), max(margins), free.quantity)]
         if "everywhere" in notes:
             return ["whole range", DASH]
     return [DASH, DASH]
@@ -254,16 +259,10 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
             together = all_together(decision)
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
-        span = _span(text, use.best.low, use.best.high)
+        span = value_range(use.best.low, use.best.high, free.quantity)
         if len(results.decisions) > 1:
             together += f", to {decision.aim}"
         yield together, p, "", best, text.number(use.value), span, "", ""
-
-
-def _span(decision: DecisionText, low: float | None, high: float | None) -> str:
-    """A range of the free number, its ends rounded as the number to use is; a dash without two."""
-    first, last = decision.number(low), decision.number(high)
-    return DASH if first == last else f"{first} to {last}"
 
 
 def _strength_source(entry: LimitEntry) -> str:

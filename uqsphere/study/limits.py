@@ -13,7 +13,7 @@ from uqsphere.arrays import Array, Places
 from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, within
 from uqsphere.materials import materials_of
 from uqsphere.mechanics.contact import reduced_modulus
-from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
+from uqsphere.mechanics.criteria import CERTAIN, CRITERIA, PARAMETERS
 from uqsphere.mechanics.crushing import value_at
 from uqsphere.mechanics.rigs import LAW, sphere_body
 from uqsphere.quantities import INPUTS, OUTPUTS, lookup, plain_quantity
@@ -58,8 +58,6 @@ _SIZES_TOLD = 1.1
 DYNAMIC = (1.24, 2.12)
 #: a criterion increases at least with this power of the force
 _RISES = 0.05
-#: a demand at which every sphere breaks, over its bound
-_BEYOND = 1e9
 #: at equal strength the force goes with this power of the diameter, without flaws (default: 2)
 _POWERS = {
     "ring_crack": 1.0,
@@ -293,7 +291,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
 
     slopes = np.log(value(8.0, 1.01) / value(8.0)) / math.log(1.01)
     largest = limit.parameters.get("largest_energy", math.inf)
-    if not (value(8.0) < largest * _BEYOND).all():
+    if not (value(8.0) < largest * CERTAIN).all():
         raise Fault(
             f"some tests exceed the largest possible {demand}. Raise largest_energy or the hardness"
         )
@@ -318,7 +316,7 @@ def _warn_of_rate(draft: Draft, limit: Limit) -> None:
     """
     least, most = DYNAMIC
     text = (
-        "the tests were quasi-static, the rig loads dynamically; rock was then "
+        "the tests were quasi-static, but the rig loads dynamically, and rock was then "
         f"{least:g} to {most:g} times as strong"
     )
     way = f"test the strength of {limit.name} at the rate of the rig"
