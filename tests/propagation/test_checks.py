@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 from tables_of import tables_of
 
+import uqsphere
 from uqsphere.propagation.checks import checks
-from uqsphere.study import Study
+from uqsphere.study import Study, load_study
 
 LOAD = {"load": {"dist": "normal", "mean": 0.0, "sd": 1.0}}
 
@@ -35,6 +36,25 @@ def test_a_tail_without_variance_is_found(power, heavy):
     tables = tables_of(Study(inputs=LOAD, outputs="y"), model)
     names = by_name(checks(tables))
     assert ("heavy_tail_y" in names) is heavy
+
+
+def test_demands_that_nothing_bears_are_told(tmp_path):
+    """At the largest fracture energy a demand is 1e9 times that: no mean tells of it."""
+    text = """
+        sphere = { E = "95 GPa", nu = 0.08, radius = "5 mm", density = "2650 kg/m3" }
+        rig.kind = "platens"
+        contact.law = "hertz"
+        platens = { material = "steel", force = { dist = "normal", mean = "8 kN", cov = 0.1 } }
+        limits.energy.criterion = "specific_energy"
+        limits.energy.energy_is = "contact"
+        limits.energy.largest_energy = "240 J/kg"
+        limits.energy.strength = { dist = "lognormal", mean = "60 J/kg", cov = 0.4 }
+        analysis.accuracy = { mean = 0.5, quantile = 0.5, sobol = 0.5, probability = 0.5 }
+        """
+    results = uqsphere.run(load_study(tmp_path / "study.toml", text=text)).results
+    check = by_name(results.checks)["certain_specific_energy.energy"]
+    assert check.grade == "warning"
+    assert check.text.endswith("of the samples reach largest_energy, at which every sphere breaks")
 
 
 def test_a_note_of_the_model_becomes_a_warning():

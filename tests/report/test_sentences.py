@@ -25,6 +25,7 @@ from uqsphere.results.types import (
     LibraryRange,
     NeededStrength,
     Range,
+    RateRange,
     Remedy,
     Results,
     Use,
@@ -291,6 +292,66 @@ def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -
     assert text.next == "Set limits.energy.rate_0, or test at the rate of the rig."
 
 
+#: a doubt that keeps its target in the whole range
+EVERYWHERE = {
+    "code": "tests",
+    "subject": "limits.crushing",
+    "target": 0.05,
+    "margin": None,
+    "margin_note": "everywhere",
+}
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "says"),
+    [
+        (0.6, 1.1, "would make it at least 0.6 m/s to 1.1 m/s"),
+        (0.6, None, "would make it at least 0.6 m/s to none"),
+        (None, None, "would leave no number"),
+    ],
+)
+def test_the_loading_rate_stands_beside_a_number(
+    granite: Results, least: float | None, most: float | None, says: str
+) -> None:
+    rate = RateRange(factors=(1.24, 2.12), least=least, most=most)
+    breaks = {"aim": "break", "safe_above": True, "rate": rate}
+    text = DecisionText(granite, decision(use=used(0.3, least=True), **breaks))
+    assert f"The loading rate (1.24 to 2.12 times as strong) {says}." in text.sentence
+    # a range that all keeps its target is no number, and the rate may leave less of it
+    doubt = Doubt(**EVERYWHERE)
+    text = DecisionText(granite, decision(use=None, doubts=[doubt], **breaks))
+    assert text.use.startswith("Use any value between")
+    assert says in text.sentence
+    text = DecisionText(granite, decision(use=None, blocked_by="limits.crushing", **breaks))
+    assert "loading rate" not in text.sentence
+
+
+def test_a_range_that_keeps_its_target_at_any_rate_says_so(granite: Results) -> None:
+    rate = RateRange(factors=(1.24, 2.12), least=0.3, most=0.3)
+    doubt = Doubt(**EVERYWHERE)
+    kept = decision(aim="break", safe_above=True, use=None, doubts=[doubt], rate=rate)
+    assert "strong) would not change that." in DecisionText(granite, kept).sentence
+
+
+def test_what_tests_leave_open_is_told_where_it_is_more_than_a_bound(granite: Results) -> None:
+    """No failure was seen among 4,096 rows: what tests leave open below that bound is in it."""
+    doubt = Doubt(**EVERYWHERE | {"margin_note": "", "tests": 20, "governs": True})
+    for at_plan, told in ((8e-6, False), (2e-3, True)):
+        open_end = doubt.model_copy(update={"at_plan": Range(value=at_plan)})
+        seen = Range(value=0.0, low=0.0, high=7.3e-4)
+        text = DecisionText(granite, decision(doubts=[open_end], probability=seen))
+        assert ("leave open" in text.broken) is told
+        assert "below 0.073 %" in text.broken
+
+
+def test_a_verdict_that_a_bound_leaves_undecided_says_so(granite: Results) -> None:
+    at_plan = Range(value=0.0, high=7.3e-4)
+    doubt = Doubt(**EVERYWHERE | {"code": "computation", "target": 1e-4, "at_plan": at_plan})
+    undecided = decision(verdict="undecided", target=1e-4, doubts=[doubt])
+    (line,) = DecisionText(granite, undecided).open
+    assert line.startswith("fracture probability at the planned value below 0.073 % (crushing,")
+
+
 def test_synthetic_tests_of_several_limits_are_one_clause(granite: Results) -> None:
     caveats = [
         Caveat(code="synthetic tests", subject=f"{name}.strength") for name in ("force", "energy")
@@ -331,7 +392,7 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
     alone = results.model_copy(update={"study": results.study.model_copy(update={"modes": {}})})
     table = limits(alone)
     assert table is not None
-    assert table.rows[0][4:6] == ("0.4 m/s", "0.4 m/s to 0.66 m/s")
+    assert table.rows[0][4:6] == ("0.4 m/s", "0.4 m/s to 0.661 m/s")
 
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:

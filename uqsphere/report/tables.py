@@ -234,11 +234,12 @@ def _number_to_use(results: Results, subject: str, free: FreeNumber) -> list[str
             return ["not known", DASH]
         if margins:
             worst = max if decision.safe_above else min
-            use = DecisionText(results, decision).number(worst(margins))
+            text = DecisionText(results, decision)
+            use = text.number(worst(margins))
             best = results.get(subject, Kind.MARGIN, results.entries[subject].allowable).value
             if best is not None:
                 margins.append(best)
-            return [use, value_range(min(margins), max(margins), free.quantity)]
+            return [use, _span(text, min(margins), max(margins), free)]
         if "everywhere" in notes:
             return ["whole range", DASH]
     return [DASH, DASH]
@@ -259,10 +260,22 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
             together = all_together(decision)
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
-        span = value_range(use.best.low, use.best.high, free.quantity)
+        span = _span(text, use.best.low, use.best.high, free)
         if len(results.decisions) > 1:
             together += f", to {decision.aim}"
         yield together, p, "", best, text.number(use.value), span, "", ""
+
+
+def _span(text: DecisionText, low: float | None, high: float | None, free: FreeNumber) -> str:
+    """A range of the free number: its safe end as the number to use, the other as a best estimate;
+    a dash without two.
+    """
+    ends = [value(low, free.quantity), value(high, free.quantity)]
+    if text.decision.safe_above:
+        ends[1] = text.number(high)
+    else:
+        ends[0] = text.number(low)
+    return DASH if ends[0] == ends[1] else " to ".join(ends)
 
 
 def _strength_source(entry: LimitEntry) -> str:
