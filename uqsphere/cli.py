@@ -529,12 +529,18 @@ def _sweep(options: Namespace) -> int:
     take_in(sweep.points)
     waiting = [point for point in sweep.points if point.name not in runs]
     with _cluster(options) as client, _interruptible() as stop:
-        made = _points_here(options, sweep, waiting, stop)
         if client is not None:
             model = None if options.model is None else read_model(options.model)
             files_of = partial(point_files, model, options.processes or 1, _budget(options))
-            made = run_on_cluster(sweep, waiting, client, files_of, stop)
-        for point in made:
+            for point in run_on_cluster(sweep, waiting, client, files_of, stop):
+                take_in([point])
+            waiting = []
+        for point in waiting:
+            if stop():
+                break
+            values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
+            tell(f"point {sweep.points.index(point) + 1} of {len(sweep.points)}: {values}")
+            _computed(options, point.study, sweep.folder / point.name, stop)
             take_in([point])
     if runs:
         print(sweep_text(sweep, _width()))
@@ -542,19 +548,6 @@ def _sweep(options: Namespace) -> int:
     if len(runs) < len(sweep.points):
         return INTERRUPTED
     return _exit_code(runs.values())
-
-
-def _points_here(
-    options: Namespace, sweep: Any, waiting: Sequence[Any], stop: Callable[[], bool]
-) -> Iterator[Any]:
-    """Points of a sweep as they are run, one after the other, in this process."""
-    for point in waiting:
-        if stop():
-            return
-        values = ", ".join(f"{key} = {value}" for key, value in point.values.items())
-        tell(f"point {sweep.points.index(point) + 1} of {len(sweep.points)}: {values}")
-        _computed(options, point.study, sweep.folder / point.name, stop)
-        yield point
 
 
 def _report(options: Namespace) -> None:
