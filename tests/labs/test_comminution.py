@@ -592,7 +592,7 @@ def test_the_shipped_feed_and_its_files(tmp_path: Path, capsys: pytest.CaptureFi
     bad = tmp_path / "bad.toml"
     bad.write_text('[material]\nmaterial = "cheese"\n[tests]\nfile = "x.csv"\n')
     assert main(["comminution", "fit", str(bad)]) == 2
-    assert "not 'cheese'" in capsys.readouterr().err
+    assert 'unknown material "cheese"' in capsys.readouterr().err
     assert main(["comminution", "fit", str(tmp_path / "none.toml")]) == 6
 
 

@@ -229,6 +229,20 @@ def test_what_a_plan_cannot_use_is_refused(
         assert match in capsys.readouterr().err
 
 
+def test_a_limit_that_means_no_fracture_stands_for_its_mode_in_a_plan_as_in_a_run(
+    tmp_path: Path,
+) -> None:
+    """Where the study's own tests tell of the centre, no strength of the library does."""
+    own = '[limits.centre]\ncriterion = "core_tension"\nstrength = "9 MPa"\nfracture = false\n'
+    own += 'aim = "break"\n'
+    text = STUDY.format(E='"60 GPa"').replace("[sphere]", '[sphere]\nmaterial = "granite"')
+    (tmp_path / "ball.toml").write_text(text + own)
+    asked = PlanDocument(study="ball.toml", rows=64, points=2, between=("0.05 m/s", "2 m/s"))
+    plan = plan_test(asked, tmp_path)
+    assumed = ["contact crushing (assumed)", "fracture energy (assumed)"]
+    assert [*plan["shares"]] == [*plan["reached"]] == ["crushing", *assumed]
+
+
 def test_a_plan_tells_what_a_run_warns_of(tmp_path: Path) -> None:
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"0.6 GPa"'))
     asked = PlanDocument(study="ball.toml", rows=64, points=2, between=("0.05 m/s", "2 m/s"))

@@ -90,11 +90,13 @@ def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str
     from uqsphere.results.folder import write_files
 
     written = []
-    if chosen.out:
-        write_files(chosen.out, files)
-        written = [str(chosen.out / name) for name in files]
-    if chosen.json:
-        print(json.dumps({**content, "written": written}, indent=1, allow_nan=False))
-    else:
-        lines = "\n".join([text, *(f"wrote {path}" for path in written)])
-        print("".join(mark if mark.isprintable() or mark == "\n" else "?" for mark in lines))
+    try:
+        if chosen.out:
+            write_files(chosen.out, files)
+            written = [str(chosen.out / name) for name in files]
+    finally:  # an answer is not lost with its files
+        if chosen.json:
+            print(json.dumps({**content, "written": written}, indent=1, allow_nan=False))
+        else:
+            lines = "\n".join([text, *(f"wrote {path}" for path in written)])
+            print("".join(mark if mark.isprintable() or mark == "\n" else "?" for mark in lines))

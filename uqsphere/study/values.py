@@ -390,8 +390,9 @@ def opened(table: Any, draft: "Draft", key: str = "file") -> Iterator[Table]:
         raise Fault(str(fault), fault.key or key) from None
     except Fault:
         raise
-    except (UqsphereError, OSError, RuntimeError, ValueError):
-        raise Fault(f"{shown(name)} cannot be read as a file", key) from None
+    except (UqsphereError, OSError, RuntimeError, ValueError) as error:
+        reason = str(error).rpartition(": ")[2]
+        raise Fault(f"{shown(name)} cannot be read as a file: {reason}", key) from None
 
 
 # --- distributions --------------------------------------------------------------------------------

@@ -90,11 +90,13 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
     free = study.margins.solve
     quantities = ("P_max", *(limit.quantity for limit in limits.values()))
     counted: JsonObject = {"quantities": (*dict.fromkeys(quantities),)}
+    # those that mean no fracture stand in the place of a failure mode of the library, as in a run
+    known = {limit.name for limit in study.limits} - limits.keys()
     if asked.limits:
         counted["failure_modes"] = "given"
+        study = replace(study, limits=tuple(limits.values()))
     planned = replace(
         study,
-        limits=tuple(limits.values()),
         margins=study.margins.model_copy(update={"for_probability": asked.shares}),
         analysis=study.analysis.model_copy(update=counted),
     )
@@ -102,6 +104,8 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
     shares = {}
     reached = dict[str, list[JsonObject]]()
     for name, curve in curves.limits.items():
+        if name in known:
+            continue
         shares[name] = np.array(curve.curve)[:, 1:4].tolist()
         reached[name] = []
         for share, at in curve.values.items():
