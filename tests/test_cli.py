@@ -80,13 +80,24 @@ def test_a_slip_of_the_pen_gets_a_hint(
 def test_a_study_is_read_from_standard_input(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (STUDIES / "ishigami.toml").read_text("utf-8")
-    monkeypatch.setattr("sys.stdin", io.StringIO(text))
-    assert main(["check", "-"]) == 0
-    assert "the study is valid" in capsys.readouterr().out
-    monkeypatch.setattr("sys.stdin", io.StringIO(text.replace("[inputs]", "[inputs")))
-    assert main(["check", "-"]) == 2
-    assert capsys.readouterr().err.startswith("stdin:")
+    """As a file is: a mark of the byte order is no part of it, whatever the terminal's encoding."""
+    content = (STUDIES / "ishigami.toml").read_bytes()
+
+    def check(given: bytes) -> int:
+        given_in_c = io.TextIOWrapper(io.BytesIO(given), "ascii", errors="surrogateescape")
+        monkeypatch.setattr("sys.stdin", given_in_c)
+        return main(["check", "-"])
+
+    for given in (content, b"\xef\xbb\xbf" + content, content.replace(b"\n", b"\r\n")):
+        assert check(given) == 0
+        assert "the study is valid" in capsys.readouterr().out
+    for given, says in (
+        (content.replace(b"[inputs]", b"[inputs"), "stdin:"),
+        (b'title = "a"\n# \xb5\n' + content, "stdin:2: byte 0xb5 is not UTF-8 text"),
+        (bytes(2 << 20), "stdin: at most 1 MiB are read"),
+    ):
+        assert check(given) == 2
+        assert capsys.readouterr().err.startswith(says)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -286,16 +286,17 @@ def _loaded(options: Namespace) -> Any:
 
 def _reader(options: Namespace) -> Callable[[Sequence[str]], Any]:
     """A function that gives the study of a file or of standard input, with more PATH=VALUE set."""
+    from uqsphere.documents import LARGEST, decoded
     from uqsphere.study import load_study
 
     path = options.file
     text = None
     if str(path) == "-":
         path = "stdin"
-        try:
-            text = sys.stdin.read()
-        except UnicodeDecodeError:
-            raise UsageError("stdin: the study must be UTF-8 text") from None
+        content = sys.stdin.buffer.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise UsageError(f"stdin: at most {LARGEST >> 20} MiB are read")
+        text = decoded(content, path)
     return lambda more: load_study(path, [*options.overrides, *more], text=text)
 
 

@@ -127,6 +127,8 @@ def unknown(what: str, word: object, known: Collection[str]) -> str:
 
 # --- text, syntax, lines --------------------------------------------------------------------------
 
+#: bytes of an input file that is read
+LARGEST = 1 << 20
 #: whole numbers of a file are doubles at last
 _LARGEST_WHOLE = 10**300
 #: unknown keys and other faults of a table that are told
@@ -136,9 +138,14 @@ _DOTS = re.compile(r"(?<![\w\"'. \t-])(?:[\w\"' \t-]++\.){13}")
 
 
 def read_text(path: Path) -> str:
-    """The text of an input file: at most 1 MiB of UTF-8; a byte order mark is dropped."""
+    """The text of an input file of at most `LARGEST` bytes, as `decoded`."""
+    return decoded(read_given(path, LARGEST), path)
+
+
+def decoded(content: bytes, path: str | Path) -> str:
+    """The text of an input file: UTF-8, of which a byte order mark is dropped; StudyError else."""
     try:
-        return read_given(path, 1 << 20).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         message = (

@@ -86,8 +86,9 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         faults = [f"{fault.path}: {fault.message}" for fault in error.problems]
         text = "\n".join(faults).replace("margins.", "").replace(" (set by --set)", "")
         raise UsageError(text) from None
-    assert study.margins
-    free = study.margins.solve
+    margins = study.margins
+    assert margins
+    free = margins.solve
     quantities = ("P_max", *(limit.quantity for limit in limits.values()))
     counted: JsonObject = {"quantities": (*dict.fromkeys(quantities),)}
     # those that mean no fracture stand in the place of a failure mode of the library, as in a run
@@ -97,7 +98,7 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         study = replace(study, limits=tuple(limits.values()))
     planned = replace(
         study,
-        margins=study.margins.model_copy(update={"for_probability": asked.shares}),
+        margins=margins.model_copy(update={"for_probability": asked.shares}),
         analysis=study.analysis.model_copy(update=counted),
     )
     curves = uqsphere.fragility_curves(planned, rows=asked.rows, values=asked.points)
