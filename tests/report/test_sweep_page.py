@@ -191,3 +191,36 @@ def test_points_that_a_closed_client_does_not_end_are_not_waited_for(
     assert main([*SWEEP, "--over", "inputs.c=1, 2", "--dask", "x"]) == 7
     assert "its client was closed" in capsys.readouterr().err
     assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]
+
+
+def test_a_cluster_that_ends_no_point_is_asked_about(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A cluster without workers takes what it is sent, and waits for one."""
+    from concurrent.futures import Future
+
+    class Client:
+        def __enter__(self) -> Client:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def submit(self, function: Callable[..., Any], study: Any, pure: bool) -> Future[Any]:
+            future = Future[Any]()
+            self.end = lambda: future.set_result(function(study))
+            return future
+
+    client = Client()
+
+    def told(text: str) -> None:
+        asked.append(text)
+        client.end()
+
+    asked = list[str]()
+    monkeypatch.setattr("uqsphere.report.sweep._SILENCE", 0.0)
+    monkeypatch.setattr("uqsphere.report.sweep.tell", told)
+    monkeypatch.setattr("uqsphere.cli._cluster", lambda options: client)
+    assert main([*SWEEP, "--over", "inputs.c=1", "--dask", "x"]) in (0, 3)
+    assert len(asked) == 1
+    assert "Does the cluster have workers?" in asked[0]
+    assert "report: s-sweep" in capsys.readouterr().out

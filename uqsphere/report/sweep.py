@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uqsphere.arrays import Names, frozen
-from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError
+from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError, tell
 from uqsphere.models.black_box import ModelFile
 from uqsphere.models.workers import is_closed
 from uqsphere.quantities import display_unit, lookup
@@ -145,6 +145,8 @@ def finished_run(sweep: Sweep, point: Point) -> Run | None:
     return run
 
 
+#: seconds in which no point ends after which the user is asked about the cluster, once
+_SILENCE = 300.0
 #: one run at a time in a process of a cluster, whose threads share the compiled integrator
 _ONE = threading.Lock()
 
@@ -196,6 +198,7 @@ def run_on_cluster(
             check_owner(folder, point.study, fresh=False)
     with _errors_of_cluster():
         waiting = {point.name: client.submit(files_of, point.study, pure=False) for point in points}
+    ask_at = time.monotonic() + _SILENCE
     while waiting and not stop():
         # asked before its futures are: what a closed client has not ended by then never ends
         closed = is_closed(client)
@@ -203,10 +206,17 @@ def run_on_cluster(
             if point.name in waiting and waiting[point.name].done():
                 with _errors_of_cluster():
                     files = waiting.pop(point.name).result()
+                ask_at = time.monotonic() + _SILENCE
                 write_files(sweep.folder / point.name, files)
                 yield point
         if waiting and closed:
             raise _lost_cluster("its client was closed")
+        if waiting and time.monotonic() > ask_at:
+            ask_at = math.inf
+            tell(
+                f"no point has ended for {_SILENCE / 60.0:.0f} min. Does the cluster have workers? "
+                "Ctrl-C stops the sweep; the same command continues it"
+            )
         time.sleep(0.05)
     for future in waiting.values():
         future.cancel()
