@@ -1222,9 +1222,15 @@ def test_where_failed_rows_decide_no_accuracy_is_asked_for(margins: Any) -> None
     def lossy(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {"y": np.where(np.abs(np.sin(37.0 * x["x"])) < 0.05, np.nan, x["x"] * x["v"])}
 
-    (decision,) = uqsphere.run(study, lossy).results.decisions
+    results = uqsphere.run(study, lossy).results
+    (decision,) = results.decisions
     assert decision.verdict == "undecided"
     assert decision.use is None
+    (words,) = decision_texts(results)
+    assert any(line.endswith("of the run and its failed runs)") for line in words.open)
+    assert "what these runs would have been decides" in words.next
+    if margins:
+        assert "High keeps its target only if the model runs that failed keep it." in words.sentence
     assert (decision.next.code, decision.next.subject) == ("mend the model", "limits.high")
 
 

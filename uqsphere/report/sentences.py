@@ -146,7 +146,7 @@ class DecisionText:
             worse = _most(doubt.at_plan) > _most(decision.all_modes or decision.probability)
             open_ends = doubt.code not in ("computation", "assumed strength")
             if open_ends and worse and worst != together:
-                clause = _words(doubt)[0]
+                clause = self._clause(doubt)
                 if doubt.subject != decision.governing:
                     clause = f"({plain_name(doubt.subject)}, {clause})"
                 text += f"{worst} {clause}; as computed, "
@@ -162,7 +162,7 @@ class DecisionText:
                 # by the doubt that the sentence names
                 at_plan = probability_at_target(decision.aim, own.at_plan, own.target)
                 if own.code != "computation" and at_plan != alone:
-                    text += f", {at_plan} {_words(own)[0]}"
+                    text += f", {at_plan} {self._clause(own)}"
         if computed and decision.probability.note:
             text += f", {decision.probability.note}"
         if decision.target is None:
@@ -305,7 +305,7 @@ class DecisionText:
         if self._library_governs:
             return f"{text}, with a strength of the library{self._library_range}."
         for doubt in self._setting:
-            clause = _words(doubt)[0]
+            clause = self._clause(doubt)
             if doubt.code in ("tests", "computation"):
                 end = "upper" if self._safe_above else "lower"
                 clause = f"by the {end} end of {clause.removeprefix('with ')}"
@@ -378,6 +378,13 @@ class DecisionText:
             return "The target is kept in the whole range."
         return f"The target is not crossed between {self._ends}."
 
+    def _clause(self, doubt: Doubt) -> str:
+        """What was considered, in a clause."""
+        clause, _ = _words(doubt)
+        if doubt.code == "computation" and failed_texts(self.results):
+            clause += " and its failed runs"
+        return clause
+
     @property
     def _event(self) -> str:
         """What the probability of the decision is of."""
@@ -448,7 +455,7 @@ class DecisionText:
             p = probability_at_target(aim, worst.at_plan, worst.target)
             if worst.at_plan.value:
                 p = f"down to {p}" if aim == "break" else f"up to {p}"
-            words = f"({plain_name(worst.subject)}, {_words(worst)[0]})"
+            words = f"({plain_name(worst.subject)}, {self._clause(worst)})"
             event = self._event_of(worst.subject, [worst])
             yield f"{event} at the planned value {p} {words}"
 
