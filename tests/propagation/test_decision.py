@@ -111,6 +111,25 @@ def test_a_range_that_does_not_reach_the_plan_says_nothing_of_it(
     assert any("up to" in line for line in words.open) == (planned > 0.2)
 
 
+@pytest.mark.parametrize(("aim", "says"), [("survive", "at most 2 %"), ("break", "at least 70 %")])
+def test_a_number_without_a_target_says_what_it_is_for(aim: str, says: str) -> None:
+    untargeted = {"quantity": "y", "strength": STRENGTH, "aim": aim}
+    margins = {**MARGINS, "for_probability": [0.02, 0.7]}
+    study = Study(
+        inputs={"load": LOAD},
+        outputs=["y", "z"],
+        limits={"a": untargeted},
+        margins=margins,
+        analysis=LOOSE,
+    )
+    results = uqsphere.run(study, doubled).results
+    (decision,) = results.decisions
+    assert decision.verdict == "no target"
+    assert decision.use is not None
+    (words,) = decision_texts(results)
+    assert words.broken.endswith(f"No target is set; the number to use is for {says}.")
+
+
 def test_every_limit_keeps_its_own_target() -> None:
     (decision,) = decided({"a": limit("survive", 0.2), "b": limit("survive", 0.01, quantity="z")})
     assert {(row.subject, row.target) for row in decision.doubts} == {

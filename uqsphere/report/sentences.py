@@ -165,7 +165,7 @@ class DecisionText:
                     text += f", {at_plan} {self._clause(own)}"
         if computed and decision.probability.note:
             text += f", {decision.probability.note}"
-        if decision.target is None:
+        if decision.target is None and not decision.use:
             return f"{text}."
         return f"{text}. {self._target}."
 
@@ -400,11 +400,13 @@ class DecisionText:
     @property
     def _target(self) -> str:
         target = self.decision.target
+        head = "Target:"
         if target is None:
-            return "No target is set"
+            target = self._setting[0].target
+            head = "No target is set; the number to use is for"
         if self.decision.aim == "break":
-            return f"Target: at least {format_share(1.0 - target)}"
-        return f"Target: at most {format_share(target)}"
+            return f"{head} at least {format_share(1.0 - target)}"
+        return f"{head} at most {format_share(target)}"
 
     def _reasons(self) -> Iterator[str]:
         decision = self.decision
