@@ -528,6 +528,7 @@ _CURES: dict[CaveatCode, RemedyCode] = {
     "model range": "leave the model's range",
     "size": "test more",
     "rate": "include the rate",
+    "criterion range": "leave the model's range",
 }
 
 
@@ -537,16 +538,20 @@ def _remedy(
     caveats: Sequence[Caveat],
     library: LibraryRange | None = None,
 ) -> Remedy:
-    """What to do next: first for a caveat that no measurement lifts, else for what governs."""
+    """What to do next: first for a caveat that no measurement lifts, the most urgent one, and of a
+    kind that on what governs; else for what governs.
+    """
     line = judged.line
     governing = judged.settled.governing
     design = judged.aim.design
     subject = design.subject(governing.limit)
     if verdict == "no target":
         return Remedy(code="set a target", subject=design.subject(judged.lead))
-    cure = _cure(subject, verdict, caveats)
-    if cure is not None:
-        return cure
+    ranked = sorted(caveats, key=lambda caveat: not f"{caveat.subject}.".startswith(f"{subject}."))
+    for code, cure in _CURES.items():
+        for caveat in ranked:
+            if caveat.code == code:
+                return Remedy(code=cure, subject=caveat.subject)
     if judged.contradicted:
         return Remedy(code="change the plan", subject=subject)
     if line is not None and governing.code != "assumed strength" and line.use is None:
@@ -554,21 +559,6 @@ def _remedy(
     if verdict == "met":
         return _of_met(judged, library)
     return _of_doubt(judged, verdict, caveats)
-
-
-def _cure(subject: str, verdict: VerdictWord, caveats: Sequence[Caveat]) -> Remedy | None:
-    """What lifts the most urgent caveat, of caveats of a kind that on the subject that governs;
-    None where a measurement might. A criterion that is extrapolated is urgent where it alone holds
-    the verdict.
-    """
-    ranked = sorted(caveats, key=lambda caveat: not f"{caveat.subject}.".startswith(f"{subject}."))
-    for code, cure in _CURES.items():
-        for caveat in ranked:
-            if caveat.code == code:
-                return Remedy(code=cure, subject=caveat.subject)
-    if verdict == "not established" and {caveat.code for caveat in caveats} == {"criterion range"}:
-        return Remedy(code="leave the model's range", subject=caveats[0].subject)
-    return None
 
 
 def _without_number(line: Settled, governing: Doubt, subject: str) -> Remedy:

@@ -140,10 +140,10 @@ class DecisionText:
         together = self.together
         alone = self._probability(decision.probability)
         text += ": "
-        computed = (decision.all_modes or decision.probability).value or 0.0
+        computed = decision.together.value or 0.0
         for doubt in self._setting:
             worst = self._probability(doubt.at_plan)
-            worse = _most(doubt.at_plan) > _most(decision.all_modes or decision.probability)
+            worse = _most(doubt.at_plan) > _most(decision.together)
             open_ends = doubt.code not in ("computation", "assumed strength")
             if open_ends and worse and worst != together:
                 clause = self._clause(doubt)
@@ -172,7 +172,7 @@ class DecisionText:
     @property
     def together(self) -> str:
         """The probability at the plan by all that adds up."""
-        return self._probability(self.decision.all_modes or self.decision.probability)
+        return self._probability(self.decision.together)
 
     @property
     def next(self) -> str:
@@ -496,7 +496,7 @@ def decision_texts(results: Results) -> list[DecisionText]:
 
 def joint_event(decision: Decision) -> Estimated:
     """The probability of exceedance at the plan, by all failure modes."""
-    return as_event(decision.aim, decision.all_modes or decision.probability)
+    return as_event(decision.aim, decision.together)
 
 
 def as_event(aim: Aim, p: Estimated) -> Estimated:

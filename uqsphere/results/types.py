@@ -479,6 +479,11 @@ class Decision(Part):
     next: Remedy
 
     @property
+    def together(self) -> Range:
+        """The failure probability at the plan by all that adds up."""
+        return self.all_modes or self.probability
+
+    @property
     def adds_up(self) -> bool:
         """Whether its limits and failure modes add up; else each is judged by itself."""
         return any(doubt.joint for doubt in self.doubts)
