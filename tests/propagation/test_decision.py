@@ -686,6 +686,7 @@ def test_a_criterion_outside_its_range_is_open() -> None:
     (words,) = decision_texts(results)
     assert any("centre_tension is outside its range (a/r <= 0.2)" in line for line in words.open)
     assert "lies outside the model's range (range of centre tension)" in words.next
+    assert "safety factor" not in words.sentence
 
 
 # --- targets that few rows cannot show, ties, and answers that contradict each other --------------

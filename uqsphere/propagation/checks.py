@@ -281,8 +281,11 @@ def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     for check in checks:
         for limit in limits:
             share = check.failures.get(limit.name, 0.0)
-            extrapolated = check.name == _range_of(limit) and share > accuracy
-            if extrapolated or (check.grade == "failure" and share > limit.target):
+            # a plan that is milder than the number does not rest on its own range
+            unnumbered = settled.use is None and check.name == _range_of(limit)
+            if (unnumbered and share > accuracy) or (
+                check.grade == "failure" and share > limit.target
+            ):
                 failing.setdefault(check.name, (share, check.text))
     if settled.use is not None and not study.black_box:
         nearest = line.values[np.argmin(np.abs(line.places - line.place_of(settled.use)))]
@@ -299,7 +302,7 @@ def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
         for name, (share, text) in failing.items():
             if name in at_number:
                 failing[name] = share, f"at the plan and at the number to use, {text}"
-            elif name in (*_RANGE, *ranges):
+            elif name in _RANGE:
                 failing[name] = share, f"at the plan, not at the number to use, {text}"
     for name, (share, text) in (at_number | failing).items():
         code: CaveatCode = "criterion range" if name in ranges else "model range"

@@ -287,7 +287,8 @@ class DecisionText:
             return ""
         text = f"Planned {free.meaning}: {value(planned, free.quantity)}"
         if use and use.safety_factor is not None:
-            unsafe = {caveat.code for caveat in self.decision.caveats} & {"model range", "rate"}
+            codes = {caveat.code for caveat in self.decision.caveats}
+            unsafe = codes & {"model range", "criterion range", "rate"}
             if use.safety_factor < 1.0:
                 text += ", no margin"
             elif not unsafe:
