@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 
 from uqsphere.results import types
-from uqsphere.results.types import KINDS, Answer, Kind, Part, Results
+from uqsphere.results.types import Answer, Kind, Part, Results
 
 PAGE: Final = Path(__file__).with_name("results.md")
 Rows = list[tuple[str, ...]]
@@ -34,7 +34,9 @@ def _content(what: str) -> str:
     if what == "columns":
         return _table(("column", "holds"), _fields(Answer, with_types=False))
     if what == "kinds":
-        rows = [(f"`{kind}`", *KINDS[kind].values()) for kind in Kind]
+        rows = [
+            (f"`{kind.value}`", kind.subject, kind.meaning, kind.at, kind.unit) for kind in Kind
+        ]
         return _table(("answer", "subject", "meaning", "`at` holds", "unit"), rows)
     parts = [f"### results.json\n\n{_table(('key', 'type', 'holds'), _fields(Results))}"]
     for part in _parts():

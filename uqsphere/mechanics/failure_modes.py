@@ -18,7 +18,15 @@ from .inputs import declared
 
 @frozen
 class FailureMode:
-    """One failure mode; fields as explained in failure_modes.toml."""
+    """One failure mode, an entry of ``failure_modes.toml``.
+
+    place: where fracture begins, as `failure_place` has it.  gloss: what happens, in a clause for
+    who does not know the name.  criterion: key of `CRITERIA` assumed
+    for it.  strength: property of the material library.  size_law: how that strength depends on
+    size: `volume`, a Weibull strength of a reference volume; `particle`, a median that depends on
+    the diameter; empty, not at all.  damage: whether the mode damages the surface, in place of
+    breaking the sphere.
+    """
 
     place: str
     name: str

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, ColumnMap, Flags, Values, frozen, quiet
-from uqsphere.files import packaged
 
 #: default level of the valley of a two-peak pulse, over the lower peak
 DEFAULT_VALLEY = 0.75
@@ -159,8 +158,20 @@ SHAPES = {
 #: shapes that depend on the impedance of a striker that differs from the bars
 STRIKER_SHAPES = ("rectangular", "trapezoid", "ramp")
 
-#: the pulses of the paper's Fig. 2 by name: shape and numbers, as explained in presets.toml
-PRESETS = packaged("mechanics/presets.toml")
+#: the three pulses of the paper's Fig. 2: shape and numbers [s, over v0/2].  Durations, and the
+#: second maximum of the first at about 19 us, are in the paper's text; levels, rise times and the
+#: other times are assumed.
+PRESETS = {
+    "very_short": (
+        "two_peak",
+        {"duration": 24.8e-6, "t1": 7e-6, "level1": 1.0, "t2": 19e-6, "level2": 0.6},
+    ),
+    "short": (
+        "two_peak",
+        {"duration": 60e-6, "t1": 16e-6, "level1": 1.0, "t2": 40e-6, "level2": 0.8},
+    ),
+    "long": ("trapezoid", {"duration": 400e-6, "rise": 40e-6, "fall": 40e-6}),
+}
 
 
 @quiet

@@ -80,7 +80,14 @@ STIFFNESS_RATIO = (1e-3, 1e3)
 
 @frozen
 class Rig:
-    """One rig: a set-up that loads the sphere; fields as explained in rigs.toml."""
+    """One rig: a set-up that loads the sphere, an entry of ``rigs.toml``.
+
+    title: as it stands in the description of a study. behind, ahead: tables of the counter-bodies
+    at contacts A and B; empty where the sphere is free. kinds: their kinds; empty where the study
+    chooses (`target.kind`, `anvil.kind`). mover: table with the speed that loads the sphere:
+    `striker`, whose pulse arrives through the bar at A; `rig`, where the sphere itself moves, or
+    `hammer`, for bodies that meet with a speed; empty for slow loading.
+    """
 
     name: str
     title: str

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from uqsphere.quantities import lookup
 from uqsphere.uq import Estimate
 
-from .types import KINDS, OF_QUANTITY, Answer, Kind
+from .types import OF_QUANTITY, Answer, Kind
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +58,7 @@ def number_row(
     The unit is that of the kind of answer, or of the quantity; others are given.
     """
     kind = Kind(answer)
-    unit = KINDS[kind]["unit"]
+    unit = kind.unit
     if unit == OF_QUANTITY:
         unit = lookup(subject).unit
     cells = {"unit": unit, "low_unseen": low, "high_unseen": high} | origin

@@ -7,11 +7,9 @@ sentences are made of them in `uqsphere.report`.
 import math
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict
-
-from uqsphere.files import packaged
 
 
 def _finite(number: Any) -> Any:
@@ -37,40 +35,125 @@ class Part(BaseModel):
 # --- answers --------------------------------------------------------------------------------------
 
 
-#: what every kind of answer is on, what it means, what the column `at` holds, and its unit
-KINDS = packaged("results/kinds.toml")
 #: unit of the answers that have that of their quantity
-OF_QUANTITY = "the quantity's"
+OF_QUANTITY: Final = "the quantity's"
 
 
 class Kind(StrEnum):
-    """Every kind of answer; `KINDS` says what it means."""
+    """Every kind of answer, and what it means."""
 
-    MEAN = "mean"
-    SD = "sd"
-    QUANTILE = "quantile"
-    CENSORED_SHARE = "censored_share"
-    SOBOL_FIRST = "sobol_first"
-    SOBOL_TOTAL = "sobol_total"
-    SOBOL_SECOND = "sobol_second"
-    EXCEEDANCE_PROBABILITY = "exceedance_probability"
-    FAILURE_PROBABILITY = "failure_probability"
-    RELIABILITY_INDEX = "reliability_index"
-    SAFETY_FACTOR = "safety_factor"
-    NUMBER_TO_USE = "number_to_use"
-    CURVE = "curve"
-    MARGIN = "margin"
-    DESIGN_POINT = "design_point"
-    DRIVER = "driver"
-    MODE_SHARE = "mode_share"
-    TIME_AT_FRACTURE = "time_at_fracture"
-    FORCE_AT_FRACTURE = "force_at_fracture"
-    ENERGY_AT_FRACTURE = "energy_at_fracture"
-    MORRIS = "morris"
-    DELTA = "delta"
-    PAWN = "pawn"
-    HDMR = "hdmr"
-    ERROR = "error"
+    def __new__(cls, *texts: str) -> Self:
+        """A kind from its word, subject, meaning, place and unit."""
+        kind = str.__new__(cls, texts[0])
+        kind._value_, kind.subject, kind.meaning, kind.at, kind.unit = texts
+        return kind
+
+    #: what it is an answer on: quantity, limit, fracture, or run
+    subject: str
+    #: in words
+    meaning: str
+    #: what the column `at` holds, empty where it holds nothing
+    at: str
+    #: of the value: a unit, or whose unit it is
+    unit: str
+
+    MEAN = "mean", "quantity", "mean", "", OF_QUANTITY
+    SD = "sd", "quantity", "standard deviation", "", OF_QUANTITY
+    QUANTILE = "quantile", "quantity", "quantile", "probability", OF_QUANTITY
+    CENSORED_SHARE = (
+        "censored_share",
+        "quantity",
+        "share of the rows that are right-censored: the record ends too early",
+        "",
+        "1",
+    )
+    SOBOL_FIRST = "sobol_first", "quantity", "first-order Sobol' index", "input", "1"
+    SOBOL_TOTAL = "sobol_total", "quantity", "total Sobol' index", "input", "1"
+    SOBOL_SECOND = (
+        "sobol_second",
+        "quantity",
+        "second-order Sobol' index",
+        "both inputs, with a comma",
+        "1",
+    )
+    EXCEEDANCE_PROBABILITY = (
+        "exceedance_probability",
+        "limit",
+        "probability that the demand exceeds the strength",
+        "",
+        "1",
+    )
+    FAILURE_PROBABILITY = (
+        "failure_probability",
+        "limit",
+        "failure probability: of exceedance for the aim survive, of its complement for break",
+        "empty, what is assumed otherwise, or of a decision: together",
+        "1",
+    )
+    RELIABILITY_INDEX = (
+        "reliability_index",
+        "limit",
+        "reliability index of the failure probability",
+        "",
+        "1",
+    )
+    SAFETY_FACTOR = (
+        "safety_factor",
+        "limit",
+        "median of strength over demand; of a decision, number to use over planned value",
+        "what it compares",
+        "1",
+    )
+    NUMBER_TO_USE = (
+        "number_to_use",
+        "decision",
+        "free number that keeps every target under every doubt",
+        "key of the free number",
+        "the free number's",
+    )
+    CURVE = "curve", "limit", "probability of exceedance along the free number", "free number", "1"
+    MARGIN = (
+        "margin",
+        "limit",
+        "free number at a probability of exceedance",
+        "probability",
+        "the free number's",
+    )
+    DESIGN_POINT = (
+        "design_point",
+        "limit",
+        "most probable point of failure (FORM)",
+        "variable",
+        "the variable's",
+    )
+    DRIVER = (
+        "driver",
+        "limit",
+        "change of the failure probability per standard deviation of an input",
+        "variable",
+        "1",
+    )
+    MODE_SHARE = (
+        "mode_share",
+        "fracture",
+        "share of the fractures in which this limit is exceeded first",
+        "limit",
+        "1",
+    )
+    TIME_AT_FRACTURE = "time_at_fracture", "fracture", "quantile of the time", "probability", "s"
+    FORCE_AT_FRACTURE = "force_at_fracture", "fracture", "quantile of the force", "probability", "N"
+    ENERGY_AT_FRACTURE = (
+        "energy_at_fracture",
+        "fracture",
+        "quantile of the energy",
+        "probability",
+        "J",
+    )
+    MORRIS = "morris", "quantity", "Morris: mean absolute elementary effect", "input", OF_QUANTITY
+    DELTA = "delta", "quantity", "Borgonovo's delta", "input", "1"
+    PAWN = "pawn", "quantity", "PAWN: median Kolmogorov-Smirnov distance", "input", "1"
+    HDMR = "hdmr", "quantity", "total index by RS-HDMR", "input", "1"
+    ERROR = "error", "run", "largest error / tolerance", "model runs", "1"
 
 
 class Answer(Part):

@@ -10,7 +10,6 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Names, as_numbers, is_labelled
 from uqsphere.errors import UsageError
-from uqsphere.files import packaged
 
 from .joint import Joint
 from .law import Law
@@ -19,8 +18,22 @@ from .law import Law
 CHANCE = 1e-6
 #: rows below which a distribution cannot be told from another one
 LEAST_ROWS = 16
-#: factors between units that are mistaken for each other, by what values are then
-MISTAKEN = packaged("uq/mistaken.toml")
+#: factors between units that are mistaken for each other, by name
+UNITS = {
+    1e-9: "1e9 times too large",
+    1e-6: "a million times too large",
+    1e-3: "a thousand times too large (mm for m, MPa for GPa)",
+    1e-2: "a hundred times too large (per cent for a share)",
+    0.1: "ten times too large",
+    10.0: "ten times too small",
+    1e2: "a hundred times too small",
+    1e3: "a thousand times too small (m for mm, GPa for MPa)",
+    1e6: "a million times too small",
+    1e9: "1e9 times too small",
+    180.0 / math.pi: "in radians where degrees are expected",
+    math.pi / 180.0: "in degrees where radians are expected",
+}
+
 
 #: answers between whose sizes fourth powers, of which the scatter of a variance is made, are
 #: numbers
@@ -147,7 +160,7 @@ def _cause(x: Array, joint: Joint, place: int) -> str:
             swapped = other != place and _follows(column, joint.laws[other])
             if swapped and _follows(x[:, other], law):
                 return f"; the columns {joint.names[place]!r} and {name!r} seem to be swapped"
-        for text, factor in MISTAKEN.items():
+        for factor, text in UNITS.items():
             if _follows(column * factor, law):
                 return f"; its values seem to be {text}: give them in the unit of the distribution"
     return "; rows are drawn from the distributions of the inputs, as `design` and `sample` do"
