@@ -154,7 +154,7 @@ def test_a_first_loss_that_rounding_decides_is_marked_and_said() -> None:
 
 
 def _rattling() -> Scene:
-    """A light sphere that rattles through thousands of steps between echoes."""
+    """A light sphere that rattles through thousands of steps between echoes, on to the horizon."""
     columns = {
         "sphere.E": 18637141.5,
         "sphere.nu": 0.04185,
@@ -171,7 +171,9 @@ def _rattling() -> Scene:
         "bars.incident_end": 1.0,
         "bars.receiving_end": 0.0,
     }
-    return Scene(columns={name: np.array([value]) for name, value in columns.items()})
+    return Scene(
+        columns={name: np.array([value]) for name, value in columns.items()}, whole_record=True
+    )
 
 
 def test_a_long_record_is_integrated_until_two_tolerances_agree() -> None:
@@ -206,7 +208,7 @@ def test_peaks_of_a_long_record_were_off_after_one_closer_look() -> None:
 def test_a_long_record_without_room_for_a_closer_look_is_marked_and_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(integrator, "_CAPACITIES", (2_048,))
+    monkeypatch.setattr(integrator, "_CAPACITIES", (4_096,))
     scene = _rattling()
     found = solve(scene)
     assert found.status[0] == 0

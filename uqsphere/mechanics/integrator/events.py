@@ -392,7 +392,7 @@ def _note_graze(s, j, face, ends):
     decide on one.
     """
     lane = s.lane[j]
-    if s.wanted & tracked.TO_THE_END and math.isnan(lane.lost) and math.isnan(lane.grazed):
+    if s.wanted & tracked.BY_LOSS and math.isnan(lane.lost) and math.isnan(lane.grazed):
         at = passage(s, j, face, lane.faint, -1.0, 0.0, ends)
         if at < inf:
             lane.grazed = lane.time + s.h[j] * at

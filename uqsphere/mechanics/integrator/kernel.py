@@ -126,7 +126,7 @@ def _leave(s, j, made, out):
     left = 0.0
     if not s.rigged and lane.end == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
-    records.note_duration(s, j, left)
+    records.note_loading(s, j, left)
     records.finish(s, j, made, out[r])
 
 
@@ -459,7 +459,7 @@ def _fate(s, j, ending, at_stop, ahead, made):
         return tracked.OK
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
-        records.note_duration(s, j, 0.0)
+        records.note_loading(s, j, 0.0)
         if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, made):
             return tracked.OK
     if at_stop and lane.time >= lane.end:

@@ -59,8 +59,8 @@ from .tracked import (
 
 #: parts of a step of which a wave is bounded one by one
 _PARTS = 2
-#: cells of all round trips that are followed at most; a row that needs more goes on
-_MOST_CELLS = 4096
+#: cells of all round trips that are followed at most: cells of each bar are as wide as that needs
+_MOST_CELLS = 16 * CELLS
 #: round trips after which a gap that has not closed never does: its rate is zero but for rounding
 _FOREVER = 1e9
 #: mass number below which the sphere swings many times while the force dies out
@@ -176,12 +176,15 @@ def _bound_waves(s, j, bar, made):
     """Bounds of the wave that a bar sends back during the next round trip, in cells of time.
 
     s.cell_end, s.cell_wave (2, CELLS): when each cell ends, and the wave in it at most.  Returns
-    how many there are, or -1 for too many.
+    how many there are.  Parts of short steps share a cell, which is as wide as the room asks for:
+    how many steps the tolerance takes must not decide whether a record ends.
     """
     lane = s.lane[j]
     trip = lane.trips[bar]
+    least = max(trip / (CELLS - 2.0), 2.0 * (lane.end - lane.time) / _MOST_CELLS)
     newest = lane.count - 1
     count = 0
+    start = lane.time
     begin = lane.time - trip
     if begin < 0.0:  # nothing has left the face before first touch
         s.cell_end[bar, 0] = trip
@@ -195,8 +198,6 @@ def _bound_waves(s, j, bar, made):
         kept = made[j, step & (s.ring - 1)]
         if kept.began + trip >= lane.end:
             break
-        if count + _PARTS > CELLS:
-            return -1
         first = max(begin - kept.began, 0.0) / kept.unit
         last = kept.holds / kept.unit
         width = (last - first) / _PARTS
@@ -204,13 +205,18 @@ def _bound_waves(s, j, bar, made):
         for part in range(1, _PARTS + 1):
             theta = first + part * width
             right, right_slope = rise_of(kept.wave, bar, theta)
-            s.cell_wave[bar, count] = highest_between(
-                left, width * left_slope, right, width * right_slope
-            )
-            s.cell_end[bar, count] = kept.began + kept.unit * theta + trip
+            top = highest_between(left, width * left_slope, right, width * right_slope)
+            end = kept.began + kept.unit * theta + trip
+            if count > 0 and s.cell_end[bar, count - 1] < start + least:
+                count -= 1
+                top = max(top, s.cell_wave[bar, count])
+            elif count > 0:
+                start = s.cell_end[bar, count - 1]
+            s.cell_wave[bar, count] = top
+            s.cell_end[bar, count] = end
             left = right
             left_slope = right_slope
-            count = count + 1
+            count += 1
     return count
 
 
@@ -305,8 +311,6 @@ def no_harder_squeeze(s, j, theta, made):
             if lane.reflect[bar] < 0.0:
                 return False
             s.cells[bar] = _bound_waves(s, j, bar, made)
-        if s.cells[bar] < 0:
-            return False
         top = 0.0
         for i in range(s.cells[bar]):
             top = max(top, s.cell_wave[bar, i])
@@ -470,9 +474,10 @@ def no_later_peak(s, j):
 
 
 @compiled
-def note_duration(s, j, left):
-    """Impulse over peak of the mean force up to now, (Q1), if that peak has grown since it was last
-    noted: later contacts that press less do not count.
+def note_loading(s, j, left):
+    """What counts up to the first loss of contact after a peak, if that has grown since it was last
+    noted: impulse over peak of the mean force, (Q1); the largest difference of the forces, by their
+    peak.  Later contacts that press less do not count, however long the record goes on for them.
 
     left: the impulse by which what is still pressed dies out once the waves are over, (Q2).
     """
@@ -481,6 +486,10 @@ def note_duration(s, j, left):
         lane.duration = (lane.impulse + left) / lane.peak[MEAN]
         lane.counted = lane.time
         lane.counted_peak = lane.peak[MEAN]
+    force = largest_force(s, j)
+    if force > lane.counted_force:
+        lane.difference = lane.peak[DIFFERENCE]
+        lane.counted_force = force
 
 
 @compiled
@@ -498,7 +507,7 @@ def finish(s, j, made, out):
         out.end_speed[face] = s.side_sign[m] * s.free[0, m]
     out.sphere_speed = s.u[0, j]
     if s.wanted & tracked.WANT_DIFFERENCE:
-        out.difference = lane.peak[DIFFERENCE]
+        out.difference = lane.difference
     if s.wanted & tracked.WANT_MEAN:
         out.mean_force = lane.peak[MEAN]
     if s.wanted & tracked.WANT_ENERGY:

@@ -294,7 +294,7 @@ def _local_errors(task: Task, finite: bool) -> tuple[float, float]:
     if not task.rigged:
         if finite:
             yielded = _LOCAL_YIELDED
-        elif task.wanted & tracked.TO_THE_END:
+        elif task.wanted & tracked.BY_LOSS:
             share = min(share, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
@@ -544,7 +544,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
     strict = wanted & tracked.WANT_CONTACT != 0
     timed = strict
     if task.stop_at_loss and not task.rigged:
-        timed = wanted & tracked.TO_THE_END != 0
+        timed = wanted & tracked.BY_LOSS != 0
     echoing = np.isfinite(rows.round_trips).any(axis=1)
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
     many = ended & (answers["steps"] > _MANY_STEPS) & (echoing | summed)

@@ -77,8 +77,8 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
 WANT_ALL = (1 << 8) - 1
 #: what reads all steps of a row again
 WHOLE_PATH = WANT_RISE | WANT_MOTION
-#: what the end of the record decides
-TO_THE_END = WANT_DURATION | WANT_CONTACT
+#: what a loss of contact decides
+BY_LOSS = WANT_DURATION | WANT_CONTACT | WANT_DIFFERENCE
 
 # largest values of a row so far: of each face's approach (of both where faces are alike), of the
 # difference of the forces, of the stored energy, of the sphere's share of it and of the mean force
@@ -106,7 +106,7 @@ ANSWER = np.dtype(
             "f8",
             (),
             "sphere_speed",  # at the end
-            "difference",  # largest, of the forces
+            "difference",  # largest, of the forces, up to the first loss after the largest force
             "mean_force",  # largest
             "stored",  # largest energy
             "stored_sphere",  # largest share of the sphere in it
@@ -256,9 +256,11 @@ LANE = np.dtype(
             "near",  # approach below which a contact may be lost; try_step
             "faint",  # error of an approach; try_step
             "impulse",  # integral of the mean force; after_step
-            "duration",  # t_c; impulse over peak of the mean force; note_duration
-            "counted",  # t_c; up to when it counts; note_duration
-            "counted_peak",  # the peak that it counts; note_duration
+            "duration",  # t_c; impulse over peak of the mean force; note_loading
+            "counted",  # t_c; up to when it counts; note_loading
+            "counted_peak",  # the peak that it counts; note_loading
+            "difference",  # largest of the forces up to when it counts; note_loading
+            "counted_force",  # the largest force by which it does; note_loading
             "lost",  # t_c; first loss of contact; after_step
             "grazed",  # t_c; when an approach was first faint before it; after_step
             "blur",  # t_c; how far the error of the approach moves it; after_step
