@@ -283,6 +283,35 @@ def test_one_break_beside_survivors_shows_no_scatter() -> None:
         fit(tests, document())
 
 
+@pytest.mark.parametrize("exact", [False, True])
+def test_breaks_and_survivors_at_one_energy_show_no_scatter(exact: bool) -> None:
+    """Half of them break at their median, however little strengths scatter."""
+    broke = np.array([True, False, True, False])
+    with pytest.raises(UsageError, match="do not show how strengths scatter"):
+        fit(specimens(0.01, [50.0] * 4, broke, exact=exact), document())
+    sizes = np.array([0.01, 0.01, 0.02, 0.02])
+    if exact:
+        with pytest.raises(UsageError, match="do not show how strengths scatter"):
+            fit(specimens(sizes, [50.0] * 4, broke), document())
+
+
+def test_a_prior_that_no_test_agrees_with_is_refused() -> None:
+    prior = {"phi": {"log_mean": 1e5, "log_sd": 1e-9}}
+    tests = specimens([0.01, 0.02, 0.01, 0.02], [10.0, 30.0, 40.0, 60.0])
+    with pytest.raises(UsageError, match="Is a prior far out"):
+        fit(tests, document(tests={"law": "lognormal", "prior": prior}, draws=200))
+
+
+@pytest.mark.parametrize("size", ["-5", "0"])
+def test_a_size_that_is_none_is_refused(tmp_path: Path, size: str) -> None:
+    """The mean of a sieve above and one below is a root of a square, which has no sign."""
+    lines = ["d [mm],e [J/kg],outcome", f"{size},10,broke", "8,20,survived", "8,30,broke"]
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    asked = document(tests={"file": "t.csv", "diameter": "d", "specific_energy": "e"})
+    with pytest.raises(UsageError, match="line 2: the size must be above 0"):
+        load_tests(asked, tmp_path)
+
+
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
     assert lines[0] == (

@@ -95,7 +95,7 @@ class TestsTable(Section):
     law: Literal["lognormal", "weibull", "average"] = "average"
     ratio: float = Field(default=4.0, gt=1.0, allow_inf_nan=True)
     size: Literal["tavares", "king", "power", "class"] = "tavares"
-    gamma: float | Literal["fit"] = "fit"
+    gamma: Positive | Literal["fit"] = "fit"
     prior: dict[Parameter, Lognormal] = Field(default_factory=dict)
     synthetic: bool = False
 

@@ -265,7 +265,12 @@ def sample(
     begin = np.where(lead, np.median(np.log(tests.last)), centre)
     begin[[*model.priors].index(shape)] = PRIORS[shape][0]
     tried = begin + np.linspace(-10.0, 10.0, 161)[:, None] * lead
-    begin = tried[np.argmax(value(tried))]
+    values = value(tried)
+    if not np.isfinite(values).any():
+        raise UsageError(
+            f"{model.law}: no parameters agree with both tests and priors. Is a prior far out?"
+        )
+    begin = tried[np.argmax(values)]
     near = minimize(loss, begin, method="Nelder-Mead", options={"maxiter": 4000}).x
     best = minimize(loss, near, method="BFGS")
     middle = best.x
@@ -312,9 +317,13 @@ def _shows_scatter(tests: Specimens) -> bool:
     broke another of its size."""
     if tests.repeated.any() or len(np.unique(tests.last[tests.exact])) > 1:
         return True
+    # at equal energies a scatter of none agrees with the tests as well as any: only the prior of
+    # several sizes tells one, and that not where a particle broke at its own energy
+    even = tests.exact | (len(tests.sizes) == 1)
+    least = np.where(even, np.nextafter(tests.last, np.inf), tests.last)
     return any(
         tests.last.max(initial=0.0, where=near & ~tests.broke)
-        >= tests.last.min(initial=np.inf, where=near & tests.broke)
+        >= least.min(initial=np.inf, where=near & tests.broke)
         for near in tests.sizes.values()
     )
 

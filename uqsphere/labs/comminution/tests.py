@@ -117,7 +117,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
         specimen = pd.Series(pd.factorize(np.array(table.texts(want.specimen)))[0])
     for message, wrong in {
         f"rig must be one of {', '.join(_RIGS)}": ~np.isin(rig, _RIGS),
-        "the size must be above 0": diameter <= 0.0,
+        "the size must be above 0": np.min(ends, axis=0) <= 0.0,
         "particles must be a whole number of at least 1": (particles % 1 > 0) | (particles < 1),
         "broken must be between 0 and particles": (broken < 0) | (broken > particles),
         f"blows must be from 1 to {_MOST_BLOWS:,}": (blows < 1) | (blows > _MOST_BLOWS),
