@@ -312,6 +312,13 @@ def test_a_size_that_is_none_is_refused(tmp_path: Path, size: str) -> None:
         load_tests(asked, tmp_path)
 
 
+def test_a_size_of_no_particle_asks_for_its_unit(tmp_path: Path) -> None:
+    lines = ["d [mm],e [J/kg],outcome", "8000,10,broke", "8,20,survived", "8,30,broke"]
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    asked = document(tests={"file": "t.csv", "diameter": "d", "specific_energy": "e"})
+    assert "line 2: the size is unusual: is its unit right?" in load_tests(asked, tmp_path).notes
+
+
 def test_draws_as_a_strength_are_the_law_at_its_size(fitted: Fit) -> None:
     lines = fitted.posterior.strength_csv(0.01).splitlines()
     assert lines[0] == (

@@ -9,6 +9,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Names, Values
 from uqsphere.errors import UsageError
+from uqsphere.quantities import lookup
 from uqsphere.tables import Table, read_table
 
 from . import laws
@@ -166,7 +167,14 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
 
 
 def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
-    """A note on rows 5 robust deviations from a line of ln e over ln d."""
+    """A note on sizes that are unusual, else on rows 5 robust deviations from a line of ln e over
+    ln d.
+    """
+    least, most = lookup("sphere.radius").plausible
+    strange = (diameter < 2.0 * least) | (diameter > 2.0 * most)
+    if strange.any():
+        lines = ", ".join(map(str, table.lines[strange][:8]))
+        return [f"line {lines}: the size is unusual: is its unit right?"]
     if len(table) < 8:
         return []
     x = np.log(diameter)

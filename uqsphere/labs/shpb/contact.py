@@ -20,6 +20,7 @@ from uqsphere.labs.files import Length, PoissonRatio, Positive, Section, in_unit
 from uqsphere.materials import library, materials_of
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
+from uqsphere.quantities import lookup
 from uqsphere.uq import student
 
 from .recorder import read_recorded
@@ -271,6 +272,10 @@ def fit_contact(asked: ContactDocument, folder: Path) -> ContactFit:
         )
     if hardness.high > _OPEN * hardness.low:
         notes.append("the record does not determine the hardness: press harder")
+    for key, number in {"onset_pressure": onset, "hardness": hardness}.items():
+        least, most = lookup(f"contact.{key}").plausible
+        if not least <= number.value <= most:
+            notes.append(f"{key} = {number.in_gpa()[0]} is unusual. Are the units right?")
     if correlation > 0.0:
         notes.append(
             f"neighbouring residuals are correlated ({correlation:.2g}), for example by a drift: "
