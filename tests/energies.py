@@ -57,7 +57,7 @@ def rates_of(motion: Motion, times: Array) -> Array:
     powers = np.arange(1, motion.states.shape[2])
     slopes = motion.states[:, :2, 1:] * powers / motion.length[:, None, None]
     unit = motion.scene.scales.approach[motion.row] / motion.unit
-    return np.asarray(motion._at(slopes, times) * unit)
+    return np.asarray(motion._at(slopes, times / motion.unit) * unit)
 
 
 def balance_of(motion: Motion, times: Array) -> Balance:

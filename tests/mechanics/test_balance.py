@@ -177,6 +177,7 @@ def test_the_gauge_of_a_rod_sees_the_force_at_the_face_later() -> None:
     times = np.linspace(0.0, 0.9 * 2.0 * 1.3 / speed, 500)
     strain = rod_record(found, 0.2, times + 0.2 / speed).strain
     inside = times + 0.2 / speed < 2.0 * 1.5 / speed - 0.2 / speed
+    inside &= times <= found.horizon  # behind it no force is known
     due = -found.forces_at(times)[:, 1] / (205e9 * section)
     np.testing.assert_allclose(strain[inside], due[inside], rtol=1e-9, atol=1e-15)
     with pytest.raises(ValueError, match="must be on the rod"):
