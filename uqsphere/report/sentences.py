@@ -256,6 +256,18 @@ class DecisionText:
             x, free.quantity, safe_above=self._safe_above, planned=free.planned
         )[1]
 
+    def span(self, low: float | None, high: float | None) -> str:
+        """A range of the free number: its safe end as the number to use, the other as a best
+        estimate; a dash without two.
+        """
+        assert self._free
+        first, last = (value(x, self._free.quantity) for x in (low, high))
+        if self._safe_above:
+            last = self.number(high)
+        else:
+            first = self.number(low)
+        return DASH if first == last else f"{first} to {last}"
+
     def _probability(self, p: Estimated) -> str:
         """A failure probability as that of the event."""
         decision = self.decision

@@ -181,7 +181,7 @@ def limits(results: Results) -> PageTable:
                 best = _best_estimate(results, subject, entry, free)
             cells.append(best)
             alone = aims.count(entry.aim) == 1
-            cells += _number_to_use(results, subject, free) if alone else ["", ""]
+            cells += _number_to_use(results, subject) if alone else ["", ""]
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
     for decision in results.decisions:
@@ -220,7 +220,7 @@ def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: Free
     return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
 
 
-def _number_to_use(results: Results, subject: str, free: FreeNumber) -> list[str]:
+def _number_to_use(results: Results, subject: str) -> list[str]:
     """The free number at the target by the doubts of a limit: its conservative end, and its range
     with the best estimate.
     """
@@ -239,7 +239,7 @@ def _number_to_use(results: Results, subject: str, free: FreeNumber) -> list[str
             best = results.get(subject, Kind.MARGIN, results.entries[subject].allowable).value
             if best is not None:
                 margins.append(best)
-            return [use, _span(text, min(margins), max(margins), free)]
+            return [use, text.span(min(margins), max(margins))]
         if "everywhere" in notes:
             return ["whole range", DASH]
     return [DASH, DASH]
@@ -260,22 +260,10 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
             together = all_together(decision)
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
-        span = _span(text, use.best.low, use.best.high, free)
+        span = text.span(use.best.low, use.best.high)
         if len(results.decisions) > 1:
             together += f", to {decision.aim}"
         yield together, p, "", best, text.number(use.value), span, "", ""
-
-
-def _span(text: DecisionText, low: float | None, high: float | None, free: FreeNumber) -> str:
-    """A range of the free number: its safe end as the number to use, the other as a best estimate;
-    a dash without two.
-    """
-    ends = [value(low, free.quantity), value(high, free.quantity)]
-    if text.decision.safe_above:
-        ends[1] = text.number(high)
-    else:
-        ends[0] = text.number(low)
-    return DASH if ends[0] == ends[1] else " to ".join(ends)
 
 
 def _strength_source(entry: LimitEntry) -> str:
