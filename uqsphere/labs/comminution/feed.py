@@ -105,8 +105,8 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function
             f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
             "these are shares, remove percent from the heading"
         )
-    rising = (np.diff(sieve, prepend=0.0) > 0.0).all() and (np.diff(share) >= 0.0).all()
-    if not rising or not 0 < share[-1] <= 1.0001:
+    rising = (np.diff(sieve, prepend=0.0) > 0.0) & (np.diff(share, prepend=0.0) >= 0.0)
+    if not rising.all() or not 0.0 < share[-1] <= 1.0001:
         raise UsageError(
             f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
             "up to 100 %"
