@@ -95,8 +95,7 @@ def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str
             write_files(chosen.out, files)
             written = [str(chosen.out / name) for name in files]
     finally:  # an answer is not lost with its files
+        text = "\n".join([text, *(f"wrote {path}" for path in written)])
         if chosen.json:
-            print(json.dumps({**content, "written": written}, indent=1, allow_nan=False))
-        else:
-            lines = "\n".join([text, *(f"wrote {path}" for path in written)])
-            print("".join(mark if mark.isprintable() or mark == "\n" else "?" for mark in lines))
+            text = json.dumps({**content, "written": written}, indent=1, allow_nan=False)
+        print("".join(mark if mark.isprintable() or mark == "\n" else "?" for mark in text))

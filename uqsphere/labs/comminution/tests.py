@@ -172,9 +172,13 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     """
     least, most = lookup("sphere.radius").plausible
     strange = (diameter < 2.0 * least) | (diameter > 2.0 * most)
+
+    def ask(rows: Flags, what: str) -> list[str]:
+        lines = ", ".join(map(str, table.lines[rows][:8]))
+        return [f"line {lines}: {what}: is its unit right?"]
+
     if strange.any():
-        lines = ", ".join(map(str, table.lines[strange][:8]))
-        return [f"line {lines}: the size is unusual: is its unit right?"]
+        return ask(strange, "the size is unusual")
     if len(table) < 8:
         return []
     x = np.log(diameter)
@@ -187,5 +191,4 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     odd = away > 5.0 * max(1.4826 * np.median(away), 0.05)
     if not odd.any():
         return []
-    lines = ", ".join(map(str, table.lines[odd][:8]))
-    return [f"line {lines}: the energy lies far from the others: is its unit right?"]
+    return ask(odd, "the energy lies far from the others")

@@ -2,7 +2,6 @@
 
 import os
 from argparse import Namespace
-from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
@@ -22,7 +21,7 @@ def _records(chosen: Namespace) -> int:
     from .waves import read_test
 
     several = len(chosen.file) > 1
-    stems = Counter(path.stem for path in chosen.file)
+    stems = [path.stem for path in chosen.file]
     home = os.path.commonpath([path.resolve().parent for path in chosen.file])
     records = dict[Path, str]()
     lines = []
@@ -31,7 +30,7 @@ def _records(chosen: Namespace) -> int:
     contents = list[JsonObject]()
     for path in chosen.file:
         name = path.stem
-        if stems[name] > 1:
+        if stems.count(name) > 1:
             name = path.resolve().relative_to(home).as_posix()
         asked = load_document(path, RecordDocument)
         try:
