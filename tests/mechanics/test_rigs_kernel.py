@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -382,6 +383,32 @@ def test_the_history_of_a_rod_passes_round_trips_without_contact_as_its_answers_
     ahead, behind = (course.motion.states_at(at + way * step)[:, 1] for way in (1.0, -1.0))
     closing = course.motion.states_at(at)[:, 2] - field_at(course.motion, "receiving", 0.0, at)[1]
     assert (ahead - behind) / (2.0 * step) == pytest.approx(closing, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        # no time passes between two echoes, a force has no scale, yielding begins at once
+        rig(speed=1.0, B={"zeta": 1.0, "trip": 0.0, "end": 1.0}),
+        rig(speed=1.0, B={"kappa": math.inf}),
+        rig(speed=1.0, B={"onset": 0.0, "b": 2.0, "C": 2.0}),
+        # a series that is no number
+        rig(mu=0.0, speed=1.0, B={}),
+        rig(mu=math.nan, speed=1.0, B={}),
+        rig(speed=1e300, B={}),
+    ],
+)
+def test_a_lane_that_cannot_take_its_step_is_given_up(row: Row) -> None:
+    """It tried for ever, or had an approach of zero; the rows beside it keep their answers."""
+    whole = rig(speed=1.0, B={"zeta": 0.5})
+    answers: list[Any] = []
+    given_up = Thread(target=lambda: answers.extend(kernel([whole, row, whole])), daemon=True)
+    given_up.start()
+    given_up.join(60.0)
+    assert not given_up.is_alive()
+    assert [answer["status"] for answer in answers] == [tracked.OK, tracked.STUCK, tracked.OK]
+    assert np.isnan(answers[1]["x"]).all()
+    assert answers[0]["x"].tolist() == answers[2]["x"].tolist() == kernel([whole])[0]["x"].tolist()
 
 
 def test_the_bodies_never_close() -> None:

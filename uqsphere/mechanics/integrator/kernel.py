@@ -49,7 +49,7 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, TERMS, End
+from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -325,7 +325,8 @@ def _holds(s, j):
             return False
     # the root's series has parted from the root; a series has overflowed; an echo is not fitted
     crossed = s.excess[j] > 1.0
-    overflowed = not s.theta[j] > 0.0
+    sum_at_end = s.at[POINTS, j] + s.at[POINTS, LANES + j]
+    overflowed = not (s.theta[j] > 0.0 and abs(sum_at_end) < inf)
     left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
     misfit = left_out > s.error[j] * min(s.size[j], s.size[LANES + j])
     if not (crossed or overflowed or misfit):
