@@ -58,12 +58,12 @@ def arguments(rows: list[Row]) -> tracked.Rows:
             here = poles[i, k]
             here["there"], here["speed"] = 1.0, (1 - 2 * k) * pole["V"]
             here["gives"], here["lightness"] = pole["zeta"], 1.0 / pole["mu"]
-            here["stiffness"], here["share"] = pole["kappa"], 0.5
+            here["stiffness"], here["chi"] = pole["kappa"], 0.5
             here["onset"], here["softening"], here["pile_up"] = pole["onset"], pole["b"], pole["C"]
             trips[i, k], ends[i, k] = pole["trip"], pole["end"]
     return tracked.Rows(
         mass=np.array([row["mu"] for row in rows]),
-        ends=ends,
+        reflections=ends,
         round_trips=trips,
         breaks=np.zeros((n, 1)),
         coefficients=np.zeros((n, 0, 4)),

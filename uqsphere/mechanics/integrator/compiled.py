@@ -64,7 +64,7 @@ def cache_folder() -> Path | None:
     return folder
 
 
-def _keep(folder: Path, function: Any) -> None:
+def _cache_in(folder: Path, function: Any) -> None:
     """Keep what numba compiles in files that begin with a checksum of their name and content.
 
     What is damaged or foreign is compiled anew; what cannot be written, by the next process.  The
@@ -73,7 +73,7 @@ def _keep(folder: Path, function: Any) -> None:
     from numba.core.compiler import CompileResult
     from numba.core.serialize import dumps
 
-    class Kept:
+    class Cache:
         cache_path = str(folder)
 
         def place(self, signature: object, codegen: Any) -> Path:
@@ -99,7 +99,7 @@ def _keep(folder: Path, function: Any) -> None:
                 with contextlib.suppress(OSError):
                     beside.unlink()
 
-    function._cache = Kept()
+    function._cache = Cache()
 
 
 def compiled(
@@ -130,7 +130,7 @@ def compiled(
         folder = cache_folder()
     else:
         options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    made: Any = numba.njit(**options)(function)
+    result: Any = numba.njit(**options)(function)
     if folder is not None:
-        _keep(folder, made)
-    return made
+        _cache_in(folder, result)
+    return result

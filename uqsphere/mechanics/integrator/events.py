@@ -37,7 +37,7 @@ from .tracked import (
     ORDER,
     PAIR,
     POINTS,
-    SHARE,
+    SPHERE_ENERGY,
     TERMS,
     WAVE,
     End,
@@ -95,10 +95,10 @@ def _both(s, j, kind, at_a, at_b):
     b = LANES + j
     weight_a = 1.0
     weight_b = 1.0
-    if kind in (ENERGY, SHARE):
+    if kind in (ENERGY, SPHERE_ENERGY):
         value_a, slope_a = stored_energy(s, j, x_a)
         value_b, slope_b = stored_energy(s, b, x_b)
-        if kind == SHARE:
+        if kind == SPHERE_ENERGY:
             weight_a = s.chi[j]
             weight_b = s.chi[b]
     else:
@@ -241,8 +241,8 @@ def _deepest(s, j, m, end, deepest):
         rise = right - left
         bow = 3.0 * rise - 2.0 * left_slope - right_slope
         twist = left_slope + right_slope - 2.0 * rise
-        share = left_slope / (math.sqrt(bow * bow - 3.0 * left_slope * twist) - bow)
-        theta = begin + share * width
+        between = left_slope / (math.sqrt(bow * bow - 3.0 * left_slope * twist) - bow)
+        theta = begin + between * width
         for _ in range(_STEPS_TO_PEAK):
             peak = s.x[ORDER, m]
             rate = 0.0
@@ -463,7 +463,7 @@ def _note_approaches(s, j, ends):
             lane.peak[face], place = _deepest(s, j, m, ends, lane.peak[face])
         if not s.has_laws:  # faces that are alike share the largest approach so far
             lane.peak[1 - face] = lane.peak[face]
-        # above it a face has touched
+        # well above what is faint a face has touched, by half of the errors that may add up
         if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[m]:
             lane.touched[face] = 1.0
         if s.rigged and place >= 0.0:
@@ -475,7 +475,9 @@ def _note_approaches(s, j, ends):
 
 
 #: functions of both faces whose largest values are followed
-OF_BOTH = tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SHARE | tracked.WANT_MEAN
+OF_BOTH = (
+    tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SPHERE_ENERGY | tracked.WANT_MEAN
+)
 
 
 @compiled
@@ -540,7 +542,7 @@ def _note_squared_forces(s, j, theta):
 
 
 @compiled
-def first_at(s, j, made, level):
+def first_at(s, j, past, level):
     """Time at which the larger approach of a row that is done first reaches `level`.
 
     Where faces have laws of their own `level` is a force: what approach that is follows from the
@@ -548,24 +550,24 @@ def first_at(s, j, made, level):
     """
     lane = s.lane[j]
     for n in range(lane.count):
-        kept = made[j, n]
-        if kept.crest < level:
+        earlier = past[j, n]
+        if earlier.crest < level:
             continue
-        end = min(kept.holds, lane.ended - kept.began) / kept.unit
+        end = min(earlier.holds, lane.ended - earlier.began) / earlier.unit
         best = inf
         for face in range(2):
             m = face * LANES + j
             height = level
-            spring = kept.spring[face]
+            spring = earlier.spring[face]
             if s.has_laws and spring > 0.0:
                 height = (level / spring) ** (2.0 / 3.0)
             elif s.has_laws:
-                height = approach_at(s, m, level) - kept.dent[face]
+                height = approach_at(s, m, level) - earlier.dent[face]
             for k in range(TERMS):
-                s.x[k, m] = kept.path[face, k]
+                s.x[k, m] = earlier.path[face, k]
             best = min(best, passage(s, j, face, height, 1.0, 0.0, end))
         if best < inf:
-            return kept.began + best * kept.unit
+            return earlier.began + best * earlier.unit
     return nan
 
 
@@ -627,10 +629,10 @@ def step_from_touch(s, j):
     for i in range(_TOUCH_STEPS):
         for v in range(5):
             s.mean[v] = 0.0
-        for share, weight in _STAGES:
+        for stage, weight in _STAGES:
             for v in range(5):
-                s.trial[v] = s.now[v] + share * part * h * s.slope[v]
-            _slopes(s, j, (i + share) * part)
+                s.trial[v] = s.now[v] + stage * part * h * s.slope[v]
+            _slopes(s, j, (i + stage) * part)
             for v in range(5):
                 s.mean[v] += weight * s.slope[v]
         for v in range(5):

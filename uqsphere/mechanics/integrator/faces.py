@@ -34,9 +34,9 @@ from .tracked import LANES, LINEAR, PAIR, TAIL_SHARE
 ARMED = 1e-13
 #: dx/dt that has no sign, scaled: a turn leaves so little
 STILL = 1e-10
-#: turns to the other branch and back at one time, beyond which a face is at rest where both meet:
-#: the force of both is the same there, and rounding would choose between them for ever
-MOST_TURNS = 8
+#: switches to the other branch and back at one time, beyond which a face is at rest where both
+#: meet: the force of both is the same there, and rounding would choose between them for ever
+MOST_SWITCHES = 8
 
 
 @compiled
@@ -56,7 +56,7 @@ def new_face(s, m, pole):
     """A face before anything has yielded; pole: tracked.POLE, onset inf where it stays elastic."""
     _be_spring(s, m, pole.stiffness)
     s.dent[m] = 0.0
-    s.turned_at[m] = -1.0
+    s.switched_at[m] = -1.0
     s.onset[m] = pole.onset
     s.softening[m] = pole.softening
     s.pile_up[m] = pole.pile_up
@@ -64,7 +64,7 @@ def new_face(s, m, pole):
     s.largest[m] = s.onset[m]
     s.unit_force[m] = pole.stiffness * s.onset[m] ** 1.5
     s.peak_force[m] = s.unit_force[m]
-    s.chi[m] = pole.share
+    s.chi[m] = pole.chi
 
 
 @compiled
@@ -255,7 +255,7 @@ def tail_level(s, j):
     """Approach above the dents below which both forces are TAIL_SHARE of the largest so far."""
     lane = s.lane[j]
     if not lane.by_law:
-        return s.share * max(lane.peak[0], lane.peak[1])
+        return s.tail * max(lane.peak[0], lane.peak[1])
     stiffest = 0.0
     for m in range(j, PAIR, LANES):
         stiffest = max(stiffest, max(s.spring[m], s.stiffness[m]))
@@ -291,15 +291,15 @@ def most_force(s, j):
 
 @compiled
 def within_spring(s, j):
-    """Share of a step from a touch that ends before a spring is at its largest approach so far; 1:
+    """theta at which a step from a touch ends before a spring is at its largest approach so far; 1:
     none gets there.
 
     The force beyond is another one.
     """
-    share = 1.0
+    theta = 1.0
     for m in range(j, PAIR, LANES):
         rest = s.largest[m] - s.dent[m] - s.x[0, m]
         reach = s.top[m] - s.x[0, m]
         if s.spring[m] > 0.0 and reach > rest > ARMED * s.largest[m]:
-            share = min(share, 0.9 * rest / reach)
-    return share
+            theta = min(theta, 0.9 * rest / reach)
+    return theta

@@ -1,7 +1,7 @@
 """What runs towards the sphere during a step: pieces of the pulse, waves that come back, times at
 which a step ends.
 
-The waves that leave the faces are kept as power series of the steps on which they left, in a ring
+The waves that leave the faces are stored as power series of the steps on which they left, in a ring
 as long as a round trip needs.  Over a later step they are read at Chebyshev points and fitted.
 Every jump of the pulse comes back after a round trip and ends a step then too.
 """
@@ -103,14 +103,14 @@ def heard(lane, trip):
 
 
 @compiled
-def step_end(s, j, made, n):
-    """Time at which a kept step ended."""
-    kept = made[j, n & (s.ring - 1)]
-    return kept.began + kept.holds
+def step_end(s, j, past, n):
+    """Time at which an earlier step ended."""
+    earlier = past[j, n & (s.ring - 1)]
+    return earlier.began + earlier.holds
 
 
 @compiled
-def echo_steps(s, j, made):
+def echo_steps(s, j, past):
     """Find the steps on which the waves left that come back during the trial step, which is cut to
     what they hold.
     """
@@ -125,24 +125,24 @@ def echo_steps(s, j, made):
             lane.first[bar] = -1
             continue
         k = max(lane.first[bar], 0)
-        while k < newest and step_end(s, j, made, k) <= begin + near:
+        while k < newest and step_end(s, j, past, k) <= begin + near:
             k += 1
         lane.first[bar] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
         if not lane.single:
             k = min(k + 1, newest)
-        h = min(h, max(step_end(s, j, made, k) - begin, 0.1 * h))
+        h = min(h, max(step_end(s, j, past, k) - begin, 0.1 * h))
     for bar in range(2):
         k = lane.first[bar]
         if k >= 0:
-            while k < newest and step_end(s, j, made, k) < time - lane.trips[bar] + h - near:
+            while k < newest and step_end(s, j, past, k) < time - lane.trips[bar] + h - near:
                 k += 1
             lane.last[bar] = k
     s.h[j] = s.h[LANES + j] = h
 
 
 @compiled
-def read_echo(s, j, bar, made):
+def read_echo(s, j, bar, past):
     """Values of the wave that comes back from the far end of a bar, theory (5), at the Chebyshev
     points of the step.
     """
@@ -150,19 +150,19 @@ def read_echo(s, j, bar, made):
     m = bar * LANES + j
     begin = lane.time - lane.trips[bar]
     for step in range(lane.first[bar], lane.last[bar] + 1):
-        kept = made[j, step & (s.ring - 1)]
-        shift = (begin - kept.began) / kept.unit
-        stretch = s.h[j] / kept.unit
+        earlier = past[j, step & (s.ring - 1)]
+        shift = (begin - earlier.began) / earlier.unit
+        stretch = s.h[j] / earlier.unit
         for i in range(WAVE):
             theta = shift + stretch * WAVE_THETAS[i]
             value = 0.0
             for k in range(ORDER, -1, -1):
-                value = value * theta + kept.wave[k, bar]
+                value = value * theta + earlier.wave[k, bar]
             s.work[i] = value
         # all points are read from every step; each step keeps those behind its start
         from_theta = -1.0
         if step > lane.first[bar]:
-            from_theta = (kept.began - begin) / s.h[j]
+            from_theta = (earlier.began - begin) / s.h[j]
         for i in range(WAVE):
             if WAVE_THETAS[i] >= from_theta:
                 s.echo[i, m] = s.work[i]

@@ -15,7 +15,7 @@ lane one step:
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
     events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
-    turn      the next state (`_move_on`) and length (`_propose`), the end of the record (`_fate`),
+    go on     the next state (`_move_on`) and length (`_propose`), the end of the record (`_fate`),
               the next jump of the waves (`_jump`); whether anything is left to learn, and room for
               it (`_judge`); a lane that is done leaves (`_leave`)
 
@@ -38,7 +38,7 @@ from math import inf, nan
 from . import events, incoming, lanes, records, tracked
 from .compiled import compiled
 from .faces import (
-    MOST_TURNS,
+    MOST_SWITCHES,
     face_force,
     largest_approach,
     most_force,
@@ -64,17 +64,28 @@ ATTEMPTS = 1_000
 #: speed errs by as much at every near loss, had P_max 27 tolerances off (campaign sweep, each
 #: quantity alone)
 _APART, _APART_IN_RIGS = 3.0, 100.0
+#: a step from a touch joins both ends by cubics.  The force of x = t moves a body by 0.4 t^2.5 of
+#: `lane.quickest`, from which a cubic is off by 0.011 inside a step of h: 0.0044 h^2.5, less than
+#: half of h^2.5 over this number, which is what one step may err by
+_BY_FORCE = 100.0
+#: under a wave 2 f = 2 sin(pi t/L) that lasts for L it is off by pi³/192 (h/L)^4 L, 0.16 (h/L)^4 L:
+#: ten errors of a step, by which the few touches of a row may err, at 16 (h/L)^4 = 1000 errors.  At
+#: loose tolerances h is a sixth of L at most
+_BY_WAVE, _ARCH = 1e3, 1e-2
+#: errors of single steps that add up where they go either way: 100 in ten thousand steps
+_ADDED_UP = 100.0
 #: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy
 #: (sweep, balances)
 FREE_STEPS = 1 << 10
 
 
 @compiled(entry=True)
-def march(rows, order, state, made, kept, out):
+def march(rows, order, state, past, paths, out):
     """Integrate rows `order` of a batch; what they come to goes to `out` (n,): tracked.ANSWER.
 
-    state (1,): tracked.STATE with what is asked; made (LANES, room): tracked.STEP; kept
-    (len(order), room): tracked.PATH, the series of every row, where there is room for them.
+    state (1,): tracked.STATE with what is asked; past (LANES, room): tracked.STEP, those that are
+    read again; paths (len(order), room): tracked.PATH, the series of every row, where there is room
+    for them.
     """
     s = state[0]
     taken = 0
@@ -87,8 +98,8 @@ def march(rows, order, state, made, kept, out):
                 lane.place_in_order = taken
                 taken += 1
                 if lane.fate != GOES_ON:
-                    _leave(s, j, made, out)
-        _waves(s, made)
+                    _leave(s, j, past, out)
+        _waves(s, past)
         _series(s)
         live = 0
         for j in range(LANES):
@@ -97,21 +108,21 @@ def march(rows, order, state, made, kept, out):
                 continue
             if _holds(s, j):
                 ending = events.after_step(s, j)
-                _keep(s, j, ending, made)
-                if s.wanted & tracked.WANT_MOTION and lane.count <= kept.shape[1]:
-                    _give_out(s, j, ending, kept[lane.place_in_order, lane.count - 1])
-                if _turn(s, j, ending, made):
+                _keep(s, j, ending, past)
+                if s.wanted & tracked.WANT_MOTION and lane.count <= paths.shape[1]:
+                    _give_out(s, j, ending, paths[lane.place_in_order, lane.count - 1])
+                if _go_on(s, j, ending, past):
                     _jump(s, j, rows)
                 _judge(s, j)
             if lane.fate != GOES_ON:
-                _leave(s, j, made, out)
+                _leave(s, j, past, out)
             live += lane.number >= 0
         if live == 0 and taken >= len(order):
             break
 
 
 @compiled(inline=True)
-def _leave(s, j, made, out):
+def _leave(s, j, past, out):
     """The row of a lane is done: its status, and its answers if it has any."""
     lane = s.lane[j]
     r = lane.number
@@ -121,13 +132,13 @@ def _leave(s, j, made, out):
         return
     out[r].steps = lane.count
     if math.isnan(lane.ended):
-        lane.ended = incoming.step_end(s, j, made, lane.count - 1)
+        lane.ended = incoming.step_end(s, j, past, lane.count - 1)
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
     if not s.rigged and lane.end == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     records.note_loading(s, j, left)
-    records.finish(s, j, made, out[r])
+    records.finish(s, j, past, out[r])
 
 
 # --- enter
@@ -161,7 +172,7 @@ def _enter(s, j, r, rows):
         m = face * LANES + j
         pole = rows.poles[r, face]
         new_face(s, m, pole)
-        lane.reflect[face] = rows.ends[r, face]
+        lane.reflect[face] = rows.reflections[r, face]
         lane.trips[face] = rows.round_trips[r, face]
         s.gives[m] = pole.gives
         s.lightness[m] = pole.lightness
@@ -193,7 +204,7 @@ def _enter(s, j, r, rows):
 
 
 @compiled(inline=True)
-def _waves(s, made):
+def _waves(s, past):
     """The steps that are tried, and the waves that run towards the sphere in them, theory (4) and
     (5).
     """
@@ -212,11 +223,11 @@ def _waves(s, made):
         _try_step(s, j)
         heard = incoming.heard(lane, lane.back)
         if heard:
-            incoming.echo_steps(s, j, made)
+            incoming.echo_steps(s, j, past)
         incoming.incident(s, j)
         for bar in range(2):
             if heard and lane.first[bar] >= 0:
-                incoming.read_echo(s, j, bar, made)
+                incoming.read_echo(s, j, bar, past)
                 echoing = True
     if echoing:
         lanes.fit_echoes(s)
@@ -229,11 +240,10 @@ def _try_step(s, j):
     scale = min(s.size[j], s.size[LANES + j])
     largest = max(s.size[j], s.size[LANES + j])
     if lane.touching:
-        # `step_from_touch` errs by a few thousandths of the impulse of the force, 0.4 h^2.5 where
-        # the approach rises as the time does
-        brief = (1e2 * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
-        # and by the wave that presses, which may bend over what is left up to its next jump
-        smooth = 0.5 * math.sqrt(math.sqrt(min(1e3 * s.error[j], 1e-2))) * (lane.stop - lane.time)
+        brief = (_BY_FORCE * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
+        # the wave that presses may bend over what is left up to its next jump
+        bend = min(_BY_WAVE * s.error[j], _ARCH)
+        smooth = 0.5 * math.sqrt(math.sqrt(bend)) * (lane.stop - lane.time)
         lane.proposed = min(lane.proposed, min(brief, smooth))
     s.h[j] = min(min(lane.proposed, lane.stop - lane.time), lane.back)
     s.h[LANES + j] = s.h[j]
@@ -252,12 +262,12 @@ def _try_step(s, j):
         s.wrong_allowed[j] = inf
     # `faint` is the error of an approach, less than the tolerance; in a row that is looked at again
     # all steps may err one way.  Below `near` a loss of contact is looked for; only a face that has
-    # been well above both (`touched`) can lose it
+    # been well above what is faint (`touched`) can lose it
     steps = 0
     if s.tolerance < s.requested:
         steps = lane.count
     lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
-    lane.near = max(lane.faint, max(100.0 * s.error[j], s.requested) * scale)
+    lane.near = max(lane.faint, max(_ADDED_UP * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(lane.lost):
         lane.near = 0.0  # only the first loss of contact is an answer of its own
 
@@ -279,7 +289,7 @@ def _series(s):
         lane = s.lane[j]
         if lane.number >= 0:
             _choose(s, j)
-    lanes.keep_roots(s)
+    lanes.shorten_to_roots(s)
     lanes.survey(s)
 
 
@@ -308,7 +318,7 @@ def _choose(s, j):
 
 @compiled(inline=True)
 def _holds(s, j):
-    """Whether the step of a lane holds; else it is made again, on the other branch of a face or
+    """Whether the step of a lane holds; else it is tried again, on the other branch of a face or
     shorter, or the row given up.
     """
     lane = s.lane[j]
@@ -336,7 +346,7 @@ def _holds(s, j):
     elif overflowed:
         lane.proposed = 0.05 * s.h[j]
     else:
-        # a wave bends where the step that made it ends: it is tried again up to there, then shorter
+        # a wave bends where the step that sent it ends: it is tried again up to there, then shorter
         lane.proposed = 0.5 * s.h[j]
         joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
         if joints > 0 and not lane.single:
@@ -349,8 +359,8 @@ def _holds(s, j):
 
 @compiled
 def _change_branch(s, j):
-    """Bring faces that what jumped has turned against their branch to the other one, on which the
-    step is made again; whether there are any.
+    """Bring faces that what jumped has set against their branch to the other one, on which the
+    step is tried again; whether there are any.
 
     Faces at rest where both branches meet stay.
     """
@@ -358,28 +368,28 @@ def _change_branch(s, j):
     beyond = 1e-4 * s.error[j]
     changed = False
     for m in range(j, PAIR, LANES):
-        if s.turned_at[m] != lane.time:
-            s.turns[m] = 0.0
-        if s.turns[m] < MOST_TURNS and wrong_branch(s, m, s.h[j], beyond * s.size[m]):
-            s.turns[m] += 1.0
-            s.turned_at[m] = lane.time
+        if s.switched_at[m] != lane.time:
+            s.switches[m] = 0.0
+        if s.switches[m] < MOST_SWITCHES and wrong_branch(s, m, s.h[j], beyond * s.size[m]):
+            s.switches[m] += 1.0
+            s.switched_at[m] = lane.time
             s.x[0, m] = switch(s, m, s.x[0, m])
             s.error[j] = min(s.error[j], s.closer * s.local)
             changed = True
     return changed
 
 
-# --- keep and turn
+# --- keep and go on
 
 
 @compiled(inline=True)
-def _keep(s, j, ending, made):
+def _keep(s, j, ending, past):
     """Store what is read again of this step: the path, and the waves that leave, f - P/Z at A and
     -(h + P/Z) at B, theory (4) and (5).
     """
     lane = s.lane[j]
     n = lane.count
-    step = made[j, n & (s.ring - 1)]
+    step = past[j, n & (s.ring - 1)]
     lane.count += 1
     if (
         lane.by_law and lane.count > FREE_STEPS
@@ -429,7 +439,7 @@ def _give_out(s, j, ending, path):
 
 
 @compiled(inline=True)
-def _turn(s, j, ending, made):
+def _go_on(s, j, ending, past):
     """The state from which the next step of a lane starts, or the end of its row; whether the waves
     jump.
     """
@@ -444,14 +454,14 @@ def _turn(s, j, ending, made):
     if at_stop:
         lane.time = lane.stop
     if s.rigged and not lane.touching:
-        ahead = records.next_touch(s, j, made)
+        ahead = records.next_touch(s, j, past)
     _propose(s, j, ending, at_stop, ahead)
-    lane.fate = _fate(s, j, ending, at_stop, ahead, made)
+    lane.fate = _fate(s, j, ending, at_stop, ahead, past)
     return at_stop and lane.fate == GOES_ON
 
 
 @compiled(inline=True)
-def _fate(s, j, ending, at_stop, ahead, made):
+def _fate(s, j, ending, at_stop, ahead, past):
     """Status with which the row of a lane ends where it stands now, or `GOES_ON`."""
     lane = s.lane[j]
     if lane.why == End.RECORD:
@@ -461,7 +471,7 @@ def _fate(s, j, ending, at_stop, ahead, made):
     left = lane.why == End.CONTACT and not lane.touching
     if left and s.stop_at_loss and not s.rigged:
         records.note_loading(s, j, 0.0)
-        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, made):
+        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past):
             return tracked.OK
     if at_stop and lane.time >= lane.end:
         if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
@@ -543,13 +553,13 @@ def _propose(s, j, ending, at_stop, ahead):
     """How long the next step may be; ahead: `records.next_touch`, NaN while a face is pressed."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
-    kept_up = 0.0
+    before = 0.0
     growth = GROWTH
     if ending == 1.0 and not at_stop:
-        kept_up = lane.proposed
+        before = lane.proposed
     if incoming.heard(lane, lane.back):
         growth = GROWTH_ECHO
-    lane.proposed = max(ending * s.h[j] * growth, kept_up)
+    lane.proposed = max(ending * s.h[j] * growth, before)
     if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         lane.proposed = max(lane.proposed, s.h[j])
     if 0.0 < ahead < inf:  # free flight is linear in time: one step to the touch, or an echo's

@@ -62,7 +62,7 @@ def _roots(s, k):
             s.beside[k, c] = x
             s.force[k, c] = s.products[c] + s.first_beside[c] * root + x * s.first_root[c]
     else:
-        share = 1.0 / k
+        part = 1.0 / k
         for c in range(PAIR):
             x = s.x[k, c]
             root = (x - s.squares[c]) * s.half[c]
@@ -74,17 +74,17 @@ def _roots(s, k):
                 s.hertz[c] * (products + x * s.first_root[c])
                 + s.by_x[c] * x
                 + s.by_root[c] * root
-                + s.by_log[c] * (share * log)
+                + s.by_log[c] * (part * log)
             )
 
 
 @compiled
 def _next_terms(s, k, lanes):
     """The coefficients k + 1 of the motion, (9) or (R3)."""
-    share = 1.0 / (k + 1.0)
+    part = 1.0 / (k + 1.0)
     if s.rigged:
         for c in range(PAIR):
-            h = s.h[c] * share
+            h = s.h[c] * part
             force = s.force[k, c]
             rate = s.push[k, c] + s.free[k, c] - s.gives[c] * force - s.side_sign[c] * s.u[k, c]
             s.x[k + 1, c] = h * s.there[c] * rate
@@ -92,15 +92,15 @@ def _next_terms(s, k, lanes):
     else:
         for c in range(PAIR):
             rate = s.push[k, c] - s.force[k, c] - s.side_sign[c] * s.u[k, c]
-            s.x[k + 1, c] = s.h[c] * share * rate
+            s.x[k + 1, c] = s.h[c] * part * rate
     if s.mode == MASSLESS:  # both faces move alike, and u stays 0
         for j in range(lanes):
             rate = 0.5 * (s.push[k, j] + s.push[k, LANES + j]) - s.force[k, j]
-            x = s.h[j] * share * rate
+            x = s.h[j] * part * rate
             s.x[k + 1, j] = x
             s.x[k + 1, LANES + j] = x
     for j in range(lanes):  # a constant would be unrolled
-        u = s.h[j] * share * s.inverse_mu[j] * (s.force[k, j] - s.force[k, LANES + j])
+        u = s.h[j] * part * s.inverse_mu[j] * (s.force[k, j] - s.force[k, LANES + j])
         s.u[k + 1, j] = u
         s.u[k + 1, LANES + j] = u
 
@@ -209,7 +209,7 @@ def _root_ends(s):
 
 
 @compiled
-def keep_roots(s):
+def shorten_to_roots(s):
     """Shorten the steps at whose ends the root's series has parted from the root.
 
     s.excess: the impulse of that difference over the whole step, over what is allowed.
@@ -236,9 +236,8 @@ def survey(s):
         s.at[0, c] = s.x[0, c]
         s.rate[0, c] = s.x[1, c]
     for i in range(1, POINTS + 1):
-        share = i / POINTS
         for c in range(PAIR):
-            z = share * s.theta[c]
+            z = i / POINTS * s.theta[c]
             x = s.x[ORDER, c]
             rate = 0.0
             for k in range(1, TERMS):
@@ -276,7 +275,7 @@ for _k in range(WAVE):
         Chebyshev.basis(_k, domain=[0.0, 1.0]).convert(kind=Polynomial, domain=[-1.0, 1.0]).coef
     )
 _TO_DEGREES = np.ascontiguousarray(_TO_DEGREES)
-#: Chebyshev terms that are kept in any case
+#: Chebyshev terms that stay in any case
 _LEAST = 4
 
 

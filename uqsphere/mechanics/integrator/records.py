@@ -52,7 +52,7 @@ from .tracked import (
     MASSLESS,
     MEAN,
     PAIR,
-    SHARE,
+    SPHERE_ENERGY,
     TERMS,
     WAVE,
 )
@@ -68,7 +68,7 @@ _LIGHT = 0.02
 
 
 @compiled
-def next_touch(s, j, made):
+def next_touch(s, j, past):
     """How long until a gap of a rig closes while no force acts: inf if none closes again, at most a
     round trip as long as an echo may close one, NaN while a face is pressed.
     """
@@ -79,7 +79,7 @@ def next_touch(s, j, made):
     for face in range(2):
         rate = closing_rate(s, j, face)
         if lane.trips[face] < inf:
-            if not _stays_open_or_leaps(s, j, face, made, ahead):
+            if not _stays_open_or_leaps(s, j, face, past, ahead):
                 ahead = min(ahead, lane.trips[face])
         elif rate > 0.0:
             ahead = min(ahead, -s.x[0, face * LANES + j] / rate)
@@ -94,23 +94,23 @@ def closing_rate(s, j, face):
 
 
 @compiled
-def _opened_by_echoes(s, j, bar, made):
+def _opened_by_echoes(s, j, bar, past):
     """How much the echoes of the last round trip open the gap at a bar in the next one."""
     lane = s.lane[j]
     begin = lane.time - lane.trips[bar]
     opens = 0.0
     for step in range(lane.first[bar], lane.count):
-        kept = made[j, step & (s.ring - 1)]
-        first = max(begin - kept.began, 0.0) / kept.unit
-        width = max(kept.holds / kept.unit - first, 0.0)
+        earlier = past[j, step & (s.ring - 1)]
+        first = max(begin - earlier.began, 0.0) / earlier.unit
+        width = max(earlier.holds / earlier.unit - first, 0.0)
         for i in range(WAVE):
-            wave, _ = rise_of(kept.wave, bar, first + width * NODES[i])
-            opens -= 2.0 * lane.reflect[bar] * WEIGHTS[i] * wave * width * kept.unit
+            wave, _ = rise_of(earlier.wave, bar, first + width * NODES[i])
+            opens -= 2.0 * lane.reflect[bar] * WEIGHTS[i] * wave * width * earlier.unit
     return opens
 
 
 @compiled
-def _stays_open_or_leaps(s, j, bar, made, ahead):
+def _stays_open_or_leaps(s, j, bar, past, ahead):
     """Whether the gap at the bar of a rig never closes again while no force acts.
 
     Else the bodies have been moved on by the round trips in which no gap closes; ahead: until the
@@ -119,16 +119,16 @@ def _stays_open_or_leaps(s, j, bar, made, ahead):
     lane = s.lane[j]
     rate = closing_rate(s, j, bar)
     trip = lane.trips[bar]
-    share = lane.reflect[bar]
+    end = lane.reflect[bar]
     waited = lane.time >= lane.parted + 2.0 * trip * (1.0 + 1e-12)
-    if share < 0.0:
+    if end < 0.0:
         return waited and rate <= 0.0
     if not waited or (rate <= 0.0 and ahead == inf):
         return rate <= 0.0
     # each round trip repeats what is left of the echoes of the last one, which only open
-    opens = _opened_by_echoes(s, j, bar, made)
+    opens = _opened_by_echoes(s, j, bar, past)
     # a gap stays open while it exceeds what it closes by without echoes; and, where it was open all
-    # over the last round trip, until it is as wide after n more as the same share R^n of it: the n
+    # over the last round trip, until it is as wide after n more as R^n of it: the n
     # powers of R that the echoes then add up to exceed n - n (n - 1) (1 - R)/2; for ever where R is
     # 1, since division by zero is infinite here
     closes = rate * trip
@@ -136,26 +136,26 @@ def _stays_open_or_leaps(s, j, bar, made, ahead):
     trips = inf
     if closes > 0.0:
         trips = gap / closes
-        holds = opens + (1.0 - share) * gap
+        holds = opens + (1.0 - end) * gap
         if holds > closes:
-            trips = max(trips, 1.0 + 2.0 * (1.0 - closes / holds) / (1.0 - share))
+            trips = max(trips, 1.0 + 2.0 * (1.0 - closes / holds) / (1.0 - end))
     never = trips > _FOREVER
     trips = min(min(trips, _FOREVER), min(ahead, lane.end - lane.time) / trip)
     whole = math.ceil(trips) - 1
     if whole < 1 or (never and ahead == inf):
         return never
-    left = share**whole
-    if share < 1.0:
-        opens *= (1.0 - left) / (1.0 - share)
+    left = end**whole
+    if end < 1.0:
+        opens *= (1.0 - left) / (1.0 - end)
     else:
         opens *= whole
     s.x[0, bar * LANES + j] -= opens
-    _leap(s, j, bar, made, whole * trip, left)
+    _leap(s, j, bar, past, whole * trip, left)
     return False
 
 
 @compiled
-def _leap(s, j, bar, made, length, left):
+def _leap(s, j, bar, past, length, left):
     """Move the bodies of a rig and the waves in its bar on by a time; left: share of the waves that
     is left then.
     """
@@ -163,20 +163,20 @@ def _leap(s, j, bar, made, length, left):
     for face in range(2):
         s.x[0, face * LANES + j] += length * closing_rate(s, j, face)
     for step in range(lane.first[bar], lane.count):
-        kept = made[j, step & (s.ring - 1)]
-        kept.began += length
+        earlier = past[j, step & (s.ring - 1)]
+        earlier.began += length
         for k in range(TERMS):
-            kept.wave[k, bar] *= left
+            earlier.wave[k, bar] *= left
     lane.time += length
     lane.stop = min(lane.stop + length, lane.end)
 
 
 @compiled
-def _bound_waves(s, j, bar, made):
+def _bound_waves(s, j, bar, past):
     """Bounds of the wave that a bar sends back during the next round trip, in cells of time.
 
     s.cell_end, s.cell_wave (2, CELLS): when each cell ends, and the wave in it at most.  Returns
-    how many there are.  Parts of short steps share a cell, which is as wide as the room asks for:
+    how many there are.  Parts of short steps have a cell in common, as wide as the room asks for:
     how many steps the tolerance takes must not decide whether a record ends.
     """
     lane = s.lane[j]
@@ -192,21 +192,21 @@ def _bound_waves(s, j, bar, made):
         begin = 0.0
         count = 1
     n = max(lane.first[bar], 0)
-    while n < newest and step_end(s, j, made, n) <= begin:
+    while n < newest and step_end(s, j, past, n) <= begin:
         n += 1
     for step in range(n, newest + 1):
-        kept = made[j, step & (s.ring - 1)]
-        if kept.began + trip >= lane.end:
+        earlier = past[j, step & (s.ring - 1)]
+        if earlier.began + trip >= lane.end:
             break
-        first = max(begin - kept.began, 0.0) / kept.unit
-        last = kept.holds / kept.unit
+        first = max(begin - earlier.began, 0.0) / earlier.unit
+        last = earlier.holds / earlier.unit
         width = (last - first) / _PARTS
-        left, left_slope = rise_of(kept.wave, bar, first)
+        left, left_slope = rise_of(earlier.wave, bar, first)
         for part in range(1, _PARTS + 1):
             theta = first + part * width
-            right, right_slope = rise_of(kept.wave, bar, theta)
+            right, right_slope = rise_of(earlier.wave, bar, theta)
             top = highest_between(left, width * left_slope, right, width * right_slope)
-            end = kept.began + kept.unit * theta + trip
+            end = earlier.began + earlier.unit * theta + trip
             if count > 0 and s.cell_end[bar, count - 1] < start + least:
                 count -= 1
                 top = max(top, s.cell_wave[bar, count])
@@ -290,7 +290,7 @@ def _approach_after_loss(s, j, theta):
 
 
 @compiled
-def no_harder_squeeze(s, j, theta, made):
+def no_harder_squeeze(s, j, theta, past):
     """Whether the faces of two bars can no longer squeeze the sphere harder than they have, at a
     loss of contact.
 
@@ -310,7 +310,7 @@ def no_harder_squeeze(s, j, theta, made):
         if lane.trips[bar] < inf:
             if lane.reflect[bar] < 0.0:
                 return False
-            s.cells[bar] = _bound_waves(s, j, bar, made)
+            s.cells[bar] = _bound_waves(s, j, bar, past)
         top = 0.0
         for i in range(s.cells[bar]):
             top = max(top, s.cell_wave[bar, i])
@@ -466,7 +466,7 @@ def no_later_peak(s, j):
         force = stiffest**0.4 * (2.5 * energy) ** 0.6
     for kind in range(DIFFERENCE, KINDS):
         reached = force
-        if kind in (ENERGY, SHARE):
+        if kind in (ENERGY, SPHERE_ENERGY):
             reached = energy
         if follows(s, kind) and reached > lane.peak[kind] * slack:
             return False
@@ -493,7 +493,7 @@ def note_loading(s, j, left):
 
 
 @compiled
-def finish(s, j, made, out):
+def finish(s, j, past, out):
     """Answers of a row that has ended, in scaled variables."""
     lane = s.lane[j]
     for face in range(2):
@@ -512,8 +512,8 @@ def finish(s, j, made, out):
         out.mean_force = lane.peak[MEAN]
     if s.wanted & tracked.WANT_ENERGY:
         out.stored = lane.peak[ENERGY]
-    if s.wanted & tracked.WANT_SHARE:
-        out.stored_sphere = lane.peak[SHARE]
+    if s.wanted & tracked.WANT_SPHERE_ENERGY:
+        out.stored_sphere = lane.peak[SPHERE_ENERGY]
     out.duration = lane.duration
     out.counted = lane.counted
     out.contact = lane.ended
@@ -533,8 +533,8 @@ def finish(s, j, made, out):
             top = largest_force(s, j)
         if s.has_laws or s.mode == LINEAR:
             power = 1.0
-        tenth = first_at(s, j, made, top * 0.1**power)
-        out.rise = first_at(s, j, made, top * 0.9**power) - tenth
+        tenth = first_at(s, j, past, top * 0.1**power)
+        out.rise = first_at(s, j, past, top * 0.9**power) - tenth
     out.ended = lane.ended
     out.unloadings = lane.unloadings
     out.touches = lane.chatter

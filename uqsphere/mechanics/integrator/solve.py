@@ -41,9 +41,9 @@ MODES: dict[str, int] = {
 #: rows that one call of the kernel takes: enough to fill its lanes, few enough to share between
 #: threads
 _BLOCK = 512
-#: steps of a row that there is room to keep, tried in turn, so that memory stays small for the many
-#: rows that need few; powers of two, from 16,384 on each twice the one before.  Only steps that are
-#: read again are kept: how many a row may take is `kernel.LIMIT`
+#: steps of a row that there is room for, tried one after another, so that memory stays small for
+#: the many rows that need few; powers of two, from 16,384 on each twice the one before.  Only steps
+#: that are read again need room: how many a row may take is `kernel.LIMIT`
 _CAPACITIES = (1024, *(16_384 << k for k in range(5)))
 #: error allowed in one step over the tolerance: for most quantities; where the difference of the
 #: forces is asked for; where the record ends in the tail of the force; once a face has yielded, for
@@ -131,8 +131,8 @@ class Motion:
         touch.
         """
         n = self._step_at(s)
-        share = ((s - self.start[n]) / self.length[n])[:, None]
-        found = polyval(share, np.moveaxis(series[n], 2, 0), tensor=False)
+        theta = ((s - self.start[n]) / self.length[n])[:, None]
+        found = polyval(theta, np.moveaxis(series[n], 2, 0), tensor=False)
         return np.where((s >= 0.0)[:, None], found, 0.0)
 
     def _scaled_states(self, s: Array) -> Array:
@@ -228,7 +228,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
         pole["lightness"] = scales.force * time / (partner.mass[rows] * scales.speed)
         pole["speed"] = (1 - 2 * side) * scene.start[rows, 1 + side] / scales.speed
         pole["stiffness"] = partner.hertz_constant[rows] / scales.hertz_constant
-        pole["share"] = partner.share[rows]
+        pole["chi"] = partner.share[rows]
         if partner.face is not None:
             face = partner.face.at(rows)
             pole["onset"] = face.onset_approach / scales.approach
@@ -236,7 +236,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
             pole["pile_up"] = face.pile_up
     return Rows(
         mass=scales.mass_number,
-        ends=scene.reflections[rows],
+        reflections=scene.reflections[rows],
         round_trips=scene.echoes[rows] / time[:, None],
         breaks=pulse.breaks[rows] / time[:, None],
         coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
@@ -272,7 +272,7 @@ def task_of(
     """What is asked of the rows of a scene; quantities: all if None."""
     wanted = wishes(quantities, scene.demands)
     if scene.by_hertz:
-        wanted &= ~tracked.WANT_SHARE
+        wanted &= ~tracked.WANT_SPHERE_ENERGY
     return Task(
         mode=MODES[fidelity],
         wanted=wanted,
@@ -288,20 +288,20 @@ def _local_errors(task: Task, finite: bool) -> tuple[float, float]:
 
     finite: whether all records end at a horizon.
     """
-    share = yielded = _LOCAL
+    over_tolerance = yielded = _LOCAL
     if task.wanted & tracked.WANT_DIFFERENCE:
-        share = _LOCAL_DIFFERENCE
+        over_tolerance = _LOCAL_DIFFERENCE
     if not task.rigged:
         if finite:
             yielded = _LOCAL_YIELDED
         elif task.wanted & tracked.BY_LOSS:
-            share = min(share, _LOCAL_TAIL)
+            over_tolerance = min(over_tolerance, _LOCAL_TAIL)
     # in the full model the velocity, the stiffest of the three states, keeps the steps shorter than
     # the approaches need
-    local = share * task.tolerance
+    local = over_tolerance * task.tolerance
     if task.mode != tracked.FULL:
         local *= 0.1
-    return local, min(1.0, yielded / share)
+    return local, min(1.0, yielded / over_tolerance)
 
 
 def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
@@ -324,7 +324,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     settings = vars(task) | {
         "local": local,
         "closer": closer,
-        "share": tracked.TAIL_SHARE**power,
+        "tail": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
         **dict.fromkeys(("size", "u_size", "free_size", "wrong_allowed"), 1.0),
@@ -338,11 +338,13 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
         state["ring"] = capacity if wanted & tracked.WHOLE_PATH or echoing else 1
         # not set to anything: only the pages of steps that are taken ever cost memory.  With room
         # for a power of two of steps all lanes would share a few lines of the processor's cache
-        made = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
-        kept = np.zeros((len(order), capacity if wanted & tracked.WANT_MOTION else 0), tracked.PATH)
-        march(rows, order, state, made, kept, answers)
+        past = np.empty((tracked.LANES, capacity + 8), tracked.STEP)
+        series = np.zeros(
+            (len(order), capacity if wanted & tracked.WANT_MOTION else 0), tracked.PATH
+        )
+        march(rows, order, state, past, series, answers)
         if wanted & tracked.WANT_MOTION:
-            for row, path in zip(order.tolist(), kept, strict=True):
+            for row, path in zip(order.tolist(), series, strict=True):
                 paths[row] = path[: answers["steps"][row]].copy()
         order = order[answers["status"][order] == tracked.FULL_ROOM]
         if len(order) == 0:
@@ -429,16 +431,16 @@ def _by_blocks(
 ) -> list[Result]:
     """What a function makes of rows, in blocks of so many, by threads."""
 
-    def made_of(block: slice) -> Result:
+    def run_on(block: slice) -> Result:
         return run(rows.at(block))
 
     blocks = [slice(begin, begin + size) for begin in range(0, len(rows.mass), size)]
     workers = min(thread_count(threads), len(blocks))
     if workers <= 1:
-        return list(map(made_of, blocks))
-    made_of(slice(0, 0))  # compile, or load, once before the threads ask for it
+        return list(map(run_on, blocks))
+    run_on(slice(0, 0))  # compile, or load, once before the threads ask for it
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(made_of, blocks))
+        return list(pool.map(run_on, blocks))
 
 
 def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:

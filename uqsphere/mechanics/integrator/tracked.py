@@ -66,7 +66,7 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
     WANT_RISE,
     WANT_DIFFERENCE,
     WANT_ENERGY,
-    WANT_SHARE,
+    WANT_SPHERE_ENERGY,
     WANT_MEAN,
     WANT_DURATION,
     WANT_CONTACT,
@@ -82,7 +82,7 @@ BY_LOSS = WANT_DURATION | WANT_CONTACT | WANT_DIFFERENCE
 
 # largest values of a row so far: of each face's approach (of both where faces are alike), of the
 # difference of the forces, of the stored energy, of the sphere's share of it and of the mean force
-FACE_A, FACE_B, DIFFERENCE, ENERGY, SHARE, MEAN, KINDS = range(7)
+FACE_A, FACE_B, DIFFERENCE, ENERGY, SPHERE_ENERGY, MEAN, KINDS = range(7)
 
 
 def _fields(kind: str, shape: Any, *names: str) -> Iterator[tuple[str, str, Any]]:
@@ -136,7 +136,7 @@ WISHES = {
     "rise": WANT_RISE,
     **dict.fromkeys(("leaving", "parting_speed", "carried_a", "carried_b"), WANT_AFTER),
     "mean_force": WANT_MEAN,
-    "stored_sphere": WANT_SHARE,
+    "stored_sphere": WANT_SPHERE_ENERGY,
     "parting": WANT_CONTACT,
     "duration": WANT_DURATION | WANT_MEAN,
 }
@@ -152,7 +152,7 @@ POLE = np.dtype(
             "lightness",  # 1/mu_i
             "speed",  # U_A or -U_B at the start
             "stiffness",  # factor of x^(3/2)
-            "share",  # of the sphere in the energy
+            "chi",  # share of the sphere in the energy
             "onset",  # x_y
             "softening",  # b
             "pile_up",  # C
@@ -164,7 +164,7 @@ POLE = np.dtype(
 class Rows(NamedTuple):
     """What is to be integrated, n rows in scaled variables.
 
-    mass (n,): mu.  ends, round_trips (n, 2): R and T of the two bars (T infinite: no reflection).
+    mass (n,): mu.  reflections, round_trips (n, 2): R and T of the two bars (T infinite: none).
     breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
     inf for the rule of infinite bars.  poles (n, 2): `POLE`.  speed (n,): u at the start.
     Whether faces are alike and elastic, or stand on two bars, is in the state (`has_laws`,
@@ -172,7 +172,7 @@ class Rows(NamedTuple):
     """
 
     mass: Array
-    ends: Array
+    reflections: Array
     round_trips: Array
     breaks: Array
     coefficients: Array
@@ -190,7 +190,7 @@ class Rows(NamedTuple):
 TAIL_SHARE = 0.01
 
 
-#: a step that is kept
+#: a step that is read again
 STEP = np.dtype(
     [
         ("began", "f8"),  # t_c; its start
@@ -224,8 +224,8 @@ LANE = np.dtype(
             "number",  # its number, -1 for an idle lane; enter, leave
             "place_in_order",  # its place among the rows asked for; march
             "count",  # steps taken; keep
-            "attempts",  # steps tried since the time last rose; holds, turn
-            "fate",  # status it leaves with, or -1; enter, holds, turn, judge, jump
+            "attempts",  # steps tried since the time last rose; holds, go_on
+            "fate",  # status it leaves with, or -1; enter, holds, go_on, judge, jump
             # the step
             "touching",  # 1 where it starts from a touch; enter, move_on
             "single",  # 1: an echo is read from one step; enter, holds, move_on
@@ -244,8 +244,8 @@ LANE = np.dtype(
             "pulse_end",  # t_c; end of the incident pulse; enter
             "back",  # t_c; when the first echo is back; enter
             # the step
-            "time",  # t_c; where it starts; turn
-            "proposed",  # t_c; what to try next; enter, try_step, holds, turn, jump
+            "time",  # t_c; where it starts; go_on
+            "proposed",  # t_c; what to try next; enter, try_step, holds, go_on, jump
             "stop",  # t_c; next jump of the waves, or the end; enter, jump
             # the waves
             "frequency",  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
@@ -318,14 +318,14 @@ STATE = np.dtype(
             "error",  # error allowed in one step; enter, change_branch, keep, move_on
             "u_size",  # scale of u; enter, move_on
             "wrong_allowed",  # impulse by which a root may be off; try_step, choose
-            "excess",  # impulse of `wrong` over what is allowed; keep_roots
+            "excess",  # impulse of `wrong` over what is allowed; shorten_to_roots
         ),
         *_fields(
             "f8",
             PAIR,
             # the step
             "h",  # t_c; length of the trial step; try_step, read_echo
-            "theta",  # share of the trial step that is taken; reach, choose, keep_roots
+            "theta",  # share of the trial step that is taken; reach, choose, shorten_to_roots
             "size",  # scale of x; enter, move_on
             "free_size",  # scale of U; enter, move_on
             # the waves
@@ -353,8 +353,8 @@ STATE = np.dtype(
             "start",  # terms of that without x or y, at the start; start_series
             "inverse",  # 1/(y + base) there, 0 without logarithm; start_series
             "half",  # 1/(2 y) there; expand
-            "turned_at",  # t_c; when the branch was last found wrong; change_branch
-            "turns",  # how often at that time; change_branch
+            "switched_at",  # t_c; when the branch was last found wrong; change_branch
+            "switches",  # how often at that time; change_branch
             "gives",  # zeta, 1 for a bar; enter
             "lightness",  # 1/mu_i of a body that moves freely; enter
             "there",  # 0 where nothing stands at the pole; enter
@@ -364,7 +364,7 @@ STATE = np.dtype(
             "first_beside",  # beside at the start; roots
             "squares",  # sums of y[i] y[k-i], 0 < i < k; sums
             "products",  # sums of beside[i] y[k-i]; sums
-            "wrong",  # error of the force by its root at the step's end; keep_roots
+            "wrong",  # error of the force by its root at the step's end; shorten_to_roots
             "top",  # bound of an approach above; survey
             "floor",  # and below; survey
         ),
@@ -372,9 +372,9 @@ STATE = np.dtype(
             "f8",
             (TERMS, PAIR),
             # the series of the step, in powers of theta
-            "x",  # approaches above the dents; turn, expand
-            "u",  # speed of the sphere, in both columns; turn, expand
-            "free",  # U_A, -U_B; turn, expand
+            "x",  # approaches above the dents; go_on, expand
+            "u",  # speed of the sphere, in both columns; go_on, expand
+            "free",  # U_A, -U_B; go_on, expand
             "push",  # 2 f, -2 h; incident, fit_echoes
             "root",  # y; expand
             "force",  # expand
@@ -413,7 +413,7 @@ STATE = np.dtype(
             "f8",
             (),
             # of all rows, from march_rows
-            "share",  # of the largest approach, below which a record ends in infinite bars
+            "tail",  # share of the largest approach, below which a record ends in infinite bars
             "tolerance",  # of this look at the rows
             "requested",  # of the answers
             "local",  # error allowed in one step
