@@ -331,16 +331,21 @@ class DecisionText:
     def _rate(self) -> str:
         """What the rate of loading would make of the number."""
         rate = self.decision.rate
-        if not rate or not (self.decision.use or self._kept_everywhere):
+        use = self.decision.use
+        if not rate or not (use or self._kept_everywhere):
             return ""
         least, most = rate.factors
-        allowed = "leave no number"
-        if not self.decision.use and rate.least == rate.most is not None:
+        first, last = (self.number(x) for x in (rate.least, rate.most))
+        now = first
+        if use:
+            now = self.number(use.value)
+        if rate.least is None:
+            allowed = "leave no number"
+        elif now == first == last:
             allowed = "not change that"
-        elif rate.least is not None:
+        else:
             allowed = f"make it {self._allowed(rate.least)}"
-            last = "none" if rate.most is None else self.number(rate.most)
-            if not allowed.endswith(f" {last}"):
+            if last != first:
                 allowed += f" to {last}"
         return f"The loading rate ({least:g} to {most:g} times as strong) would {allowed}."
 
