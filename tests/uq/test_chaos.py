@@ -421,6 +421,14 @@ def test_the_mean_of_an_exact_expansion_is_that_of_its_terms() -> None:
     assert mean.half_width < 2e-5
 
 
+def test_a_fold_that_is_hard_to_integrate_is_one_of_eight() -> None:
+    # the largest error of all folds was added to every interval: ±0.021 here
+    found = indices_of(zoo_response("piston", 160, 1))["first"][0]
+    truth = all_truths()["piston"]["first x1"].value
+    assert found.low < truth < found.high
+    assert found.half_width < 0.012
+
+
 def test_forty_inputs_of_which_three_matter() -> None:
     response = zoo_response("3 of 40", 256, 1)
     assert response.error < 1e-20

@@ -190,12 +190,17 @@ def _searches(tables: Tables) -> Iterator[Check]:
         estimate = failure(tables, limit)
         searched = tables.rare.get(limit.name)
         if searched and estimate.value and estimate.method == searched.estimate.method:
-            bound = format_probability(None, estimate.outer[1])
+            grade: Grade = "warning"
+            effect = searched.warning
+            if not effect:
+                grade = "note"
+                bound = format_probability(None, estimate.outer[1])
+                effect = f"with them the failure probability is {bound}"
             yield Check(
                 name="search",
-                grade="warning" if searched.warning else "note",
+                grade=grade,
                 text=f"{limit.name}: failures that the search has not met are not in the interval",
-                effect=searched.warning or f"with them the failure probability is {bound}",
+                effect=effect,
             )
 
 

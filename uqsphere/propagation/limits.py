@@ -91,11 +91,12 @@ def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
             low = max((low or 0.0) - missed, 0.0)
             return replace(sampled, low=low, high=most, low_unseen=None, high_unseen=None)
         high = min(searched.high or 1.0, sampled.high or 1.0)
-        if searched.value and searched.value < high:
-            return replace(searched, high=high, high_unseen=sampled.high_unseen)
-        reason = f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
-        bounds = absent(reason, searched.method, searched.evaluations, below=high)
-        return replace(bounds, high_unseen=sampled.high_unseen)
+        if not searched.value or searched.value >= high:
+            reason = (
+                f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
+            )
+            searched = absent(reason, searched.method, searched.evaluations, below=high)
+        return replace(searched, high=high, high_unseen=sampled.high_unseen)
     unseen = min((searched.high or 1.0) + missed, searched.high_unseen or 1.0)
     return replace(searched, high_unseen=unseen)
 

@@ -63,7 +63,7 @@ class Searched(NamedTuple):
 
     estimate: Estimate
     design_point: Mapping[str, float]
-    warning: str = ""
+    warning: str
 
 
 @bundle

@@ -337,8 +337,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     influences = (rows.top - values[:, :, None] * rows.bottom) / whole
     noise = influences.var(axis=2, ddof=1) / len(rows.bottom)
     reach = np.apply_along_axis(distances, 2, influences)
-    by_folds = np.hypot(fold_spread(rows.shares), error)
-    reach = np.hypot(reach, by_folds[:, :, None]) + rows.rounding
+    further = np.hypot(np.hypot(fold_spread(rows.shares), error), rows.rounding)
+    reach = np.hypot(reach, further[:, :, None])
     lows = np.clip(values + least - reach[:, :, 0], 0.0, 1.0)
     highs = np.clip(values + most + reach[:, :, 1], 0.0, 1.0)
     reasons = [heavy_tail(y, certain=True)] * 2
@@ -383,7 +383,7 @@ class _RowParts:
     bottom : (n,) V_f + 2 r (f - m) + r^2
     residuals : (n,) r
     shares : (K, 2, d) S_f of each fold
-    rounding : error of an S_f
+    rounding : error of the mean of the S_f
     """
 
     points: Array
@@ -408,7 +408,8 @@ def _row_parts(response: Response, folds: Sequence[int]) -> _RowParts:
         moments = response.integrals[k]
         unit = moments.sd or 1.0
         shares[place] = moments.shares
-        rounding = max(rounding, moments.error)
+        # all of them are integrated at the same points
+        rounding += moments.error / len(folds)
         residuals[there] = response.residuals[there] / unit
         parts = response.folds[k].fit.projections(response.points[there]) / unit
         top[:, :, there] = shares[place][:, :, None] + 2.0 * residuals[there] * parts
