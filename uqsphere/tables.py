@@ -735,6 +735,11 @@ def _sheet(data: bytes, name: str, notes: list[str], wanted: str) -> dict[int, s
             )
         sheet, *others = [sheet for sheet, rows in full.items() if rows] or full
         rows = full[sheet]
+        numbers = (
+            cell for cell in chain.from_iterable(sheet.iter_rows()) if isinstance(cell.value, float)
+        )
+        if any("%" in cell.number_format for cell in numbers):
+            notes.append(f"{name}: cells that show a percentage are read as shares, 5 % as 0.05")
         if formulas:
             written = _rows_of(load_workbook(io.BytesIO(data), read_only=True)[sheet.title])
             for k, cells in written.items():

@@ -82,6 +82,11 @@ REASONS: dict[str, tuple[str, str, str]] = {
         '"a" is already the name of an input',
         BOX.replace('["y"]', '["y", "y"]'),
     ),
+    "a range that no numbers span": (
+        PLAIN + '[margins]\nsolve = "striker.speed"\nbetween = ["1e-200 m/s", "1e200 m/s"]\n',
+        "too far apart for a range of numbers",
+        PLAIN + '[margins]\nsolve = "striker.speed"\nbetween = ["1e200 m/s", "1e-200 m/s"]\n',
+    ),
     "a preset of another shape": (
         PRESET + '[pulse]\npreset = "short"\nshape = "ramp"\n',
         "Remove shape or preset",

@@ -40,6 +40,24 @@ def test_one_table_in_many_forms(data: bytes, tmp_path: Path) -> None:
     table.finish()
 
 
+def test_a_workbook_that_shows_percentages_is_noted(tmp_path: Path) -> None:
+    """A sheet shows 5 % where it holds 0.05: below [%] a factor of a hundred would lie between."""
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.active.append(["t [s]", "strain [%]"])
+    for k in range(3):
+        book.active.append([k, 0.05 * (k + 1)])
+    book.save(tmp_path / "t.xlsx")
+    assert not read_table(tmp_path / "t.xlsx").notes
+    for k in range(3):
+        book.active.cell(k + 2, 2).number_format = "0.0%"
+    book.save(tmp_path / "t.xlsx")
+    table = read_table(tmp_path / "t.xlsx")
+    assert table.notes == ["t.xlsx: cells that show a percentage are read as shares, 5 % as 0.05"]
+    assert table.numbers("strain", "strain").tolist() == [0.0005, 0.001, 0.0015]
+
+
 def test_a_workbook_and_windows_text(tmp_path: Path) -> None:
     from openpyxl import Workbook
 
