@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scenes import example as granite
 
+from tests.mechanics.test_answers_agree import random_scene
 from uqsphere.mechanics import contact
 from uqsphere.mechanics.closed_form import massless_approach
 from uqsphere.mechanics.history import find_changes, trace
@@ -168,3 +169,28 @@ def test_what_cannot_be_traced_is_refused():
         trace(granite(), fidelity="auto")
     with pytest.raises(IndexError):
         trace(granite(), 1)
+
+
+@pytest.mark.parametrize("law", ["hertz", "plastic"])
+@pytest.mark.parametrize(
+    ("rig", "kind"), [("bars", "infinite"), ("load_cell", ""), ("impact", "plate")]
+)
+def test_contacts_are_lost_when_the_answers_say(rig: str, kind: str, law: str) -> None:
+    """A face that has yielded is lost at its dent, where its approach is not zero; and bodies that
+    part for good lose their last contact at the end.
+    """
+    scene = random_scene(rig, kind, law)
+    name = "time_to_first_loss" if rig == "bars" else "loaded_time"
+    answers = dynamics.solve(scene, tolerance=1e-8, quantities=(name,))
+    rows = np.flatnonzero(answers.status == 0)[:6]
+    for row in rows.tolist():
+        path = dynamics.motion(scene, row, tolerance=1e-8)
+        changes = find_changes(path, tolerance=1e-8)
+        lost = [change.time for change in changes if change.kind == "lost"]
+        if rig != "bars":
+            assert max(lost) == pytest.approx(answers.values[name][row], rel=1e-6)
+        elif not answers.censored[name][row]:
+            assert lost[0] == pytest.approx(answers.values[name][row], rel=1e-6)
+        for face in "AB":
+            kinds = [change.kind for change in changes if change.face == face]
+            assert all(one != following for one, following in pairwise(kinds))

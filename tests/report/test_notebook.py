@@ -54,6 +54,20 @@ def test_an_impact_shows_the_numbers_that_were_given() -> None:
     assert float(fast[peak].split()[0]) > 1.1 * float(slow[peak].split()[0])
 
 
+def test_an_impact_on_a_rod_that_loses_little_of_a_wave_is_shown_on_to_its_end() -> None:
+    # after 100,000 round trips of the rod the sphere strikes it again: there were too many steps
+    changes = ["rod.end=0.9999", "rod.length=0.3 m"]
+    study = load_study(STUDIES / "quartz_load_cell.toml", changes)
+    course = history(study, points=200)
+    assert course.horizon > 11.0
+    assert [change.kind for change in course.changes] == ["lost", "lost", "found", "lost"]
+    (gauge,) = course.gauges
+    assert -3e-5 < gauge.strain.min() < -1e-5
+    rows = dict(history_rows(course))
+    lost = float(rows[lookup("loaded_time").meaning].split()[0])
+    assert lost == pytest.approx(1e6 * course.changes[-1].time, rel=1e-4)
+
+
 def test_a_study_shows_inputs_and_strengths() -> None:
     html = load_study(STUDIES / "limestone_margin.toml")._repr_html_()
     assert "<html" not in html

@@ -284,15 +284,18 @@ def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ..
     first touch is not a loss.
     """
     nodes = _nodes(course, 0.0, course.horizon)
-    states = course.states_at(nodes)
+    approaches = course.states_at(nodes).T
+    # a face that has yielded is lost where its dent is left, before its approach is zero
+    forces = course.forces_at(nodes).T
     changes = []
     for face, name in enumerate("AB"):
-        approach = states[:, face]
-        touched = approach > _TOUCH * tolerance * np.abs(approach).max()
-        pressed = (approach > 0.0) | ~np.maximum.accumulate(touched)
+        touched = approaches[face] > _TOUCH * tolerance * approaches[face].max()
+        pressed = (forces[face] > 0.0) | ~np.maximum.accumulate(touched)
+        if not course.scene.by_wave:
+            pressed[-1] = False  # the bodies part where the motion ends, but for rounding
         at = np.flatnonzero(pressed[1:] != pressed[:-1])
         times = _zeros(
-            lambda times, of=face: course.states_at(times)[:, of],  # type: ignore[misc]
+            lambda times, of=face: course.forces_at(times)[:, of],  # type: ignore[misc]
             nodes,
             at,
         )
