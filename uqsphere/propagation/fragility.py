@@ -111,16 +111,14 @@ def _along(
         carrying.append(min(carriers(exceeded), carriers(held)))
         mean = exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1)
         least = most = mean
-        missed = lost_share(state.broken)
-        if state.on_failure == "bound":
-            missed -= state.broken.mean()
-        if state.on_failure == "bound" or state.late.any():
+        counted = state.on_failure == "bound"
+        if counted or state.late.any():
             moved = replace(state, demands=factor * state.demands)
             least, most = (
                 np.nanmean(exceedance(moved, survive), axis=1) for survive in (False, True)
             )
         means.append([mean, least, most])
-        lost.append(missed)
+        lost.append(lost_share(state.broken) - counted * state.broken.mean())
     return np.moveaxis(np.array(means), 1, 0), carrying, np.array(lost)
 
 

@@ -223,24 +223,24 @@ def quantile_estimates(
         if not math.isfinite(at):
             at = upper(p)
         error = spread(((least <= at) & kept).sum(axis=1) / counts, 1.0 / samples.shape[1])
-        answers[p] = quantile([read, upper], p, error, len(samples), method, total)
-        if answers[p].value is None:
+        found = quantile([read, upper], p, error, len(samples), method, total)
+        if found.value is None:
             reason = (
                 f"beyond the censored share ({100.0 * censored.mean():.2f} %) and the failed share "
                 f"({100.0 * (failed & kept).mean():.2f} %)"
             )
-            answers[p] = absent(reason, method, total)
+            found = absent(reason, method, total)
         elif takes_few_values(levels):
             # half-way between what failed rows allow may be no value that there is
-            value = float(nearest_of(levels, levels, np.array(answers[p].value)))
-            answers[p] = replace(answers[p], value=value)
-        if lost and answers[p].value is not None:
+            found = replace(found, value=nearest_of(levels, levels, np.array(found.value)).item())
+        if lost and found.value is not None:
             half = student(len(samples)) * error + lost
-            answers[p] = replace(
-                answers[p],
+            found = replace(
+                found,
                 low_unseen=read(p - half) if p > half else -inf,
                 high_unseen=upper(p + half) if p + half < 1.0 else inf,
             )
+        answers[p] = found
     return answers
 
 

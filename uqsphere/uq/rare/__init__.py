@@ -278,7 +278,7 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
         )
     points = [evaluator.normals(evaluator.dimension, count, "few", r) for r in range(REPLICATES)]
     mass = evaluator.mass(np.concatenate(points))
-    rows = np.nan_to_num(mass).reshape(REPLICATES, count).mean(axis=1)
+    rows = np.nan_to_num(mass).reshape(REPLICATES, -1).mean(axis=1)
     total = mass.size
     p = float(rows.mean())
     unseen = count_bound(total)
