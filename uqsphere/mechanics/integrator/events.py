@@ -29,7 +29,6 @@ from .incoming import heard
 from .tracked import (
     DIFFERENCE,
     ENERGY,
-    FACE_A,
     FACE_B,
     KINDS,
     LANES,
@@ -93,8 +92,7 @@ def _both(s, j, kind, at_a, at_b):
     """Value and derivative of a function of both faces from those of their approaches."""
     (x_a, rate_a), (x_b, rate_b) = at_a, at_b
     b = LANES + j
-    weight_a = 1.0
-    weight_b = 1.0
+    weight_a = weight_b = 1.0
     if kind in (ENERGY, SPHERE_ENERGY):
         value_a, slope_a = stored_energy(s, j, x_a)
         value_b, slope_b = stored_energy(s, b, x_b)
@@ -107,8 +105,7 @@ def _both(s, j, kind, at_a, at_b):
         if kind == DIFFERENCE:
             weight_b = -1.0
         else:
-            weight_a = 0.5
-            weight_b = 0.5
+            weight_a = weight_b = 0.5
     slope = weight_a * slope_a * rate_a + weight_b * slope_b * rate_b
     return weight_a * value_a + weight_b * value_b, slope
 
@@ -470,8 +467,8 @@ def _note_approaches(s, j, ends):
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
             lane.chatter = lane.touches
     if not heard(lane, lane.back):
-        lane.x_first[FACE_A] = lane.peak[FACE_A]
-        lane.x_first[FACE_B] = lane.peak[FACE_B]
+        for face in range(2):
+            lane.x_first[face] = lane.peak[face]
 
 
 #: functions of both faces whose largest values are followed

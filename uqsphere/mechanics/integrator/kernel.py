@@ -328,7 +328,7 @@ def _holds(s, j):
         return False
     if lane.by_law and not lane.touching and _change_branch(s, j):
         return False
-    if s.has_laws and lane.touching:
+    if lane.touching:
         reached = within_spring(s, j)
         if reached < 1.0:
             lane.proposed = reached * s.h[j]
