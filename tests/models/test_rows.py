@@ -431,7 +431,7 @@ def test_malformed_references_are_refused(reference: str) -> None:
 
 
 def test_models_that_cannot_be_had(tmp_path: Path) -> None:
-    with pytest.raises(AccessError, match="No such file"):
+    with pytest.raises(AccessError, match="there is no such file"):
         read_model(f"{tmp_path / 'none.py'}:f")
     file = tmp_path / "model.py"
     for text, kind, message in (

@@ -329,12 +329,13 @@ class DecisionText:
 
     @property
     def _rate(self) -> str:
-        """What the rate of loading would make of the number."""
+        """What the rate of loading would make of the number: how much stronger rock is then stands
+        with what is open.
+        """
         rate = self.decision.rate
         use = self.decision.use
         if not rate or not (use or self._kept_everywhere):
             return ""
-        least, most = rate.factors
         first, last = (self.number(x) for x in (rate.least, rate.most))
         now = first
         if use:
@@ -347,7 +348,7 @@ class DecisionText:
             allowed = f"make it {self._allowed(rate.least)}"
             if last != first:
                 allowed += f" to {last}"
-        return f"The loading rate ({least:g} to {most:g} times as strong) would {allowed}."
+        return f"The loading rate would {allowed}."
 
     @property
     def _library_governs(self) -> bool:
