@@ -172,6 +172,28 @@ def test_a_file_of_the_user_with_the_name_of_ours_stays(
     assert content(tmp_path) == {name: b"mine"}
 
 
+def test_what_a_killed_process_has_moved_is_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {"report.html": "a page", "study.toml": "a study"}
+    moved = []
+    move = os.replace
+
+    def killed(source: Path, place: Path) -> None:
+        if len(moved) == 2:
+            raise KeyboardInterrupt
+        moved.append(place)
+        move(source, place)
+
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_files(tmp_path, files)
+    monkeypatch.setattr(os, "replace", move)
+    assert len(content(tmp_path)) == 2
+    write_files(tmp_path, files)
+    assert damaged_files(tmp_path) == []
+
+
 def test_samples_are_read_as_they_were_written(folder: Path) -> None:
     assert len(uqsphere.open_run(folder).samples) > 100
     text = (folder / "samples.csv").read_text()

@@ -289,6 +289,8 @@ def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ..
     forces = course.forces_at(nodes).T
     changes = []
     for face, name in enumerate("AB"):
+        if not forces[face].any():
+            continue  # no body is there
         touched = approaches[face] > _TOUCH * tolerance * approaches[face].max()
         pressed = (forces[face] > 0.0) | ~np.maximum.accumulate(touched)
         if not course.scene.by_wave:

@@ -271,6 +271,13 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
             yield Caveat(code="synthetic tests", subject=name)
 
 
+def _part(settled: Settled, limit: Limit) -> float:
+    """Failures by a limit alone at the number to use, over those that its target allows."""
+    assert settled.use is not None
+    exceeded = settled.base(limit)[0].mean(axis=1)
+    return float(limit.missed(settled.line.at(exceeded, settled.use)) / limit.target)
+
+
 def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     """Checks that fail in the rows that fail, and criteria that are extrapolated there: those of
     the plan, and those of the model's range at the number to use, where contacts can yield by
@@ -301,8 +308,15 @@ def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
         if under.design.study.options.get("contact.law", "hertz") == "hertz":
             yields = _YIELD
         for check in _breaches(under, limits, yields):
-            share = max(check.failures.values(), default=0.0)
-            if check.name in (*_RANGE, *yields, *ranges) and share > accuracy:
+            # the range of a criterion concerns the failures by it, where the target rests on them
+            shares = [
+                check.failures.get(limit.name, 0.0)
+                for limit in limits
+                if check.name in (*_RANGE, *yields)
+                or (check.name == _range_of(limit) and _part(settled, limit) > accuracy)
+            ]
+            share = max(shares, default=0.0)
+            if share > accuracy:
                 at_number[check.name] = (share, f"at the number to use, {check.text}")
         for name, (share, text) in failing.items():
             if name in at_number:

@@ -93,7 +93,8 @@ def locked(folder: Path) -> Iterator[None]:
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files whole: all of them beside their places first, then moved there; the checksums are
-    the last.  With the results of a run, earlier files that are not written again are removed.
+    the first, so that what a killed process has moved is known to be its own.  With the results of
+    a run, earlier files that are not written again are removed.
 
     Raises FolderError where a file was not written here, AccessError where the system refuses (a
     full disk, no permission); the files before are then unchanged.
@@ -105,15 +106,14 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
         name: text.encode() if isinstance(text, str) else text for name, text in files.items()
     }
     sums |= {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-    contents[SUMS] = "".join(
-        f"{digest}  {name}\n" for name, digest in sorted(sums.items())
-    ).encode()
-    for name in contents.keys() - before.keys() - {SUMS}:
+    for name in contents.keys() - before.keys():
         if os.path.lexists(folder / name):
             raise FolderError(
                 f"{as_text(folder / name)} exists, and uqsphere did not write it. Move it, or "
                 "choose another directory with --out"
             )
+    listed = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    contents = {SUMS: listed.encode(), **contents}
     with _accessing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
