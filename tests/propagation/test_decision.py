@@ -770,7 +770,7 @@ def test_the_number_of_counted_rows_is_as_sharp_as_they_allow(seed: int, grows: 
 
 @pytest.mark.parametrize("rank", [-0.95, 0.95])
 def test_strengths_that_depend_on_each_other_add_up_as_they_do(rank: float) -> None:
-    weibull = '{ dist = "weibull", mean = "80 kN", modulus = 6 }'
+    weibull = '{ dist = "weibull", mean = "20 kN", modulus = 6 }'
     limit_of_force = f'quantity = "P_max", target = 0.5, strength = {weibull}'
     text = f"""
         sphere = {{ material = "granite", E = "52 GPa", nu = 0.25, radius = "10 mm" }}
@@ -1399,7 +1399,7 @@ def test_yielding_contacts_move_no_force_far_out_in_a_tail() -> None:
         [limits.force]
         quantity = "P_max"
         target = 1e-3
-        strength = { dist = "lognormal", mean = "80 kN", cov = "5 %" }
+        strength = { dist = "lognormal", mean = "20 kN", cov = "5 %" }
         [margins]
         solve = "platens.force"
         between = ["0.5 kN", "40 kN"]
