@@ -30,7 +30,7 @@ from uqsphere.report import summary
 from uqsphere.report.fragility import curves_of
 from uqsphere.report.sentences import decision_texts
 from uqsphere.report.tables import limits as limits_table
-from uqsphere.results.types import Caveat, CaveatCode, Decision, Kind
+from uqsphere.results.types import Caveat, CaveatCode, Decision, Kind, Results
 from uqsphere.study import load_study, shipped_studies
 from uqsphere.uq import Estimate, Law, make_law
 
@@ -665,21 +665,25 @@ def test_what_the_loading_rate_makes_of_a_number_stands_beside_it(law: str, tmp_
     assert said in " ".join(summary(results).split())
 
 
+def _on_the_rotor(limits: str) -> Results:
+    """A run of the rotor with limits in place of its own."""
+    before, after = ROTOR[: ROTOR.index("[limits.force]")], ROTOR[ROTOR.index("[margins]") :]
+    overrides = ["analysis.failure_modes=given"]
+    return uqsphere.run(load_study("rotor.toml", overrides, text=before + limits + after)).results
+
+
+CENTRE = """
+[limits.centre]
+criterion = "centre_tension"
+aim = "survive"
+target = 0.05
+strength = { dist = "weibull", mean = "%g MPa", modulus = 20 }
+"""
+
+
 def test_a_criterion_outside_its_range_is_open() -> None:
     """The tension at the centre holds up to a contact of a fifth of the radius."""
-    text = (
-        ROTOR[: ROTOR.index("[limits.force]")]
-        + """
-        [limits.centre]
-        criterion = "centre_tension"
-        aim = "survive"
-        target = 0.05
-        strength = { dist = "weibull", mean = "90 MPa", modulus = 20 }
-        """
-        + ROTOR[ROTOR.index("[margins]") :]
-    )
-    study = load_study("rotor.toml", ["analysis.failure_modes=given"], text=text)
-    results = uqsphere.run(study).results
+    results = _on_the_rotor(CENTRE % 90.0)
     (decision,) = results.decisions
     assert [caveat.code for caveat in decision.caveats] == ["criterion range"]
     assert decision.verdict == "not established"
@@ -691,25 +695,14 @@ def test_a_criterion_outside_its_range_is_open() -> None:
 
 def test_a_criterion_by_which_nothing_fails_is_not_open() -> None:
     """Those that fail by another limit are none of its own."""
-    text = (
-        ROTOR[: ROTOR.index("[limits.force]")]
-        + """
+    force = """
         [limits.force]
         quantity = "P_max"
         aim = "survive"
         target = 0.05
         strength = { dist = "weibull", mean = "80 kN", modulus = 20 }
-        [limits.centre]
-        criterion = "centre_tension"
-        aim = "survive"
-        target = 0.05
-        strength = { dist = "weibull", mean = "250 MPa", modulus = 20 }
         """
-        + ROTOR[ROTOR.index("[margins]") :]
-    )
-    study = load_study("rotor.toml", ["analysis.failure_modes=given"], text=text)
-    results = uqsphere.run(study).results
-    (decision,) = results.decisions
+    (decision,) = _on_the_rotor(force + CENTRE % 250.0).decisions
     assert (decision.governing, decision.caveats) == ("limits.force", [])
 
 

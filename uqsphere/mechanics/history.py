@@ -290,7 +290,7 @@ def find_changes(course: Motion, *, tolerance: float) -> tuple[ContactChange, ..
     changes = []
     for face, name in enumerate("AB"):
         if not forces[face].any():
-            continue  # no body is there
+            continue  # nothing presses it, and nothing can leave it
         touched = approaches[face] > _TOUCH * tolerance * approaches[face].max()
         pressed = (forces[face] > 0.0) | ~np.maximum.accumulate(touched)
         if not course.scene.by_wave:
