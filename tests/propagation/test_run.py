@@ -556,6 +556,42 @@ def test_a_slow_model_is_answered_by_a_corrected_expansion() -> None:
     assert p["note"]
 
 
+def test_the_expansion_of_all_rows_does_not_run_away() -> None:
+    # the larger of two loads, one of them of a Gumbel law, times a model factor: the exponential of
+    # a polynomial in the first has no finite variance
+    loads = {
+        "a": {"dist": "gumbel", "mean": 11.154, "sd": 2.565},
+        "b": {"dist": "normal", "mean": 11.0, "sd": 2.0},
+        "c": {"dist": "lognormal", "mean": 1.0, "cov": 0.1},
+    }
+    larger = uqsphere.run(
+        uqsphere.Study(
+            inputs=loads,
+            outputs="y",
+            seed=3,
+            analysis={"cost": "10 s", "budget": {"evaluations": 64, "time": "1 h"}},
+        ),
+        lambda x: {"y": np.maximum(x["a"], x["b"]) * x["c"]},
+    )
+    expansion = larger.expansion("y")
+    mean, sd = expansion.moments()
+    assert mean == pytest.approx(12.344, rel=0.02)
+    assert sd == pytest.approx(2.506, rel=0.1)
+    # the positive part of a load, squared: a polynomial of high degree without logarithms
+    normal = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    positive = uqsphere.run(
+        uqsphere.Study(
+            inputs={"a": normal, "b": normal},
+            outputs="y",
+            seed=2,
+            analysis={"cost": "10 s", "budget": {"evaluations": 64, "time": "1 h"}},
+        ),
+        lambda x: {"y": np.maximum(x["a"], 0.0) ** 2 + 0.3 * x["b"]},
+    )
+    rows = positive.samples["y"]
+    assert positive.expansion("y").moments()[1] < 2.0 * rows.std()
+
+
 def test_a_slow_model_has_a_margin_a_probability_and_counts_what_failed() -> None:
     few = {"cost": "10 s", "budget": {"time": "1 h", "evaluations": 128}, "on_failure": "10 %"}
     margins = {"solve": "a", "between": [-20.0, 20.0], "for_probability": [0.1]}

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, bundle
+from uqsphere.arrays import Array, Duo, Places, bundle
 
 from .chaos.basis import Germs, score_of
 from .chaos.expansion import Chaos, Integrals, law_points
@@ -130,6 +130,23 @@ class Response:
     def integrals(self) -> tuple[Integrals, ...]:
         """Moments and indices of the expansion of every fold."""
         return tuple(fold.fit.integrals for fold in self.folds)
+
+    @cached_property
+    def variance_ends(self) -> Duo:
+        """The 99 % interval of the variance by the rows, for all folds together: they share most of
+        their rows, so that unlucky rows contradict all of them at once.
+        """
+        squares = (self.outputs - self.outputs.mean()) ** 2
+        variance = float(squares.mean())
+        down, up = distances(squares, 1.0 - (1.0 - REJECTED) / FOLDS)
+        return variance - down, variance + up
+
+    def allows(self, fit: Chaos) -> bool:
+        """Whether the variance of an expansion, with what it leaves, is one that the rows allow."""
+        low, high = self.variance_ends
+        variance = min(fit.integrals.sd, LARGEST_SD) ** 2
+        missing = fit.cross_validation_error * float(self.outputs.var())
+        return variance <= high and variance + missing >= low
 
     @property
     def usable(self) -> bool:
@@ -246,10 +263,7 @@ def _bounded(response: Response) -> Response:
         return response
     # a fold that runs away may have no finite variance
     variances = np.minimum([moments.sd for moments in response.integrals], LARGEST_SD) ** 2
-    squares = (y - y.mean()) ** 2
-    influence = squares - (response.levels - y.mean()) ** 2
-    # folds share most of their rows, so that unlucky rows contradict all of them at once
-    down, up = distances(squares, 1.0 - (1.0 - REJECTED) / FOLDS)
+    influence = (y - y.mean()) ** 2 - (response.levels - y.mean()) ** 2
     integration = ROUNDING + 4.0 * max(moments.error for moments in response.integrals)
     t = student(FOLDS - 1, REJECTED)
     law = law_points(response.germs)[:LOOKED]
@@ -265,13 +279,12 @@ def _bounded(response: Response) -> Response:
         room = max(distances(influence[~left_out], REJECTED)) + integration * median
         room += t * 1.4826 * float(np.median(np.abs(others - median)))
         room += missing + 2.0 * math.sqrt(missing * max(variance, median))
-        inside = variance <= whole + up and variance + missing >= whole - down
-        if inside and abs(variance - median) <= room:
+        if response.allows(fold.fit) and abs(variance - median) <= room:
             trusted.append(k)
             continue
         points = response.points[~left_out]
         fold = replace(fold, reach=(points.min(axis=0), points.max(axis=0)))
-        if not fold.values(law).var() <= whole + up:
+        if not fold.values(law).var() <= response.variance_ends[1]:
             fold = Fold(fit=constant_fit(y[~left_out], response.germs))
         folds[k] = fold
         levels[left_out] = fold.values(response.points[left_out])

@@ -28,7 +28,7 @@ from uqsphere.errors import UsageError
 
 from .chaos.basis import MOST_STEPS, Germ, Germs, germ_points, germs_of, values_of
 from .chaos.expansion import Chaos, ChaospyObjects
-from .chaos.fit import fit_chaos
+from .chaos.fit import constant_fit, fit_chaos
 from .corrected import indices_of
 from .estimate import LEVEL, Estimate
 from .families import Family, family_of
@@ -356,17 +356,25 @@ def _leverage(inverse: Any, rows: Array) -> Array:
 def fit_expansion(x: Array, y: Array, joint: Joint, *, plain: bool = False, seed: int) -> Expansion:
     """The expansion of y (n,) at rows x (n, d) drawn by the joint law; `seed` of the order in which
     rows are dealt.
+
+    It is of the kind that the folds agree on.  Where the rows contradict its variance, the
+    expansion of a fold that can be trusted, else the mean, is in its place.
     """
     order = random_generator(seed, "chaos rows").permutation(len(y))
     x = x[order]
     y = y[order]
     germs = germs_of(map(_with_few_values, joint.laws))
     points = _points(joint, germs, x)
-    return Expansion(
-        joint=joint,
-        fit=fit_chaos(points, y, germs, plain=plain),
-        response=cross_fit(points, y, germs, plain=plain, independent=not joint.dependent)[0],
-    )
+    independent = not joint.dependent
+    response = cross_fit(points, y, germs, plain=plain, independent=independent)[0]
+    # where folds with logarithms run away, that of all rows would as well
+    plain = not any(response.folds[k].fit.log for k in response.trusted)
+    fit = fit_chaos(points, y, response.germs, plain=plain)
+    if independent and not response.allows(fit):
+        fit = constant_fit(y, response.germs)
+        if response.trusted:
+            fit = response.folds[response.trusted[0]].fit
+    return Expansion(joint=joint, fit=fit, response=response)
 
 
 # --- the file of an expansion ---------------------------------------------------------------------
