@@ -21,6 +21,7 @@ from threading import Event
 from typing import Any, NoReturn
 
 from uqsphere.errors import FolderError, UqsphereError, UsageError, tell
+from uqsphere.files import packaged
 
 #: exit codes beside those of errors: a decision that is not "met", and an interruption
 NOT_MET, INTERRUPTED = 3, 130
@@ -126,7 +127,12 @@ def _guarded(command: Callable[[], int]) -> int:
 
 
 class _Parser(ArgumentParser):
-    """A parser whose error names the command that was probably meant."""
+    """A parser of paths and counts whose error names the command that was probably meant."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=RawDescriptionHelpFormatter, **options)
+        self.register("type", "path", Path)
+        self.register("type", "count", _count)
 
     def error(self, message: str) -> NoReturn:
         word, _, choices = message.partition(": invalid choice: ")[2].partition(" (choose from ")
@@ -141,131 +147,53 @@ class _Parser(ArgumentParser):
 
 
 def _parser() -> ArgumentParser:
+    """The parser of all commands, with the arguments of `arguments.toml`."""
     codes = "\n".join(f"  {code:<4}{text}" for code, text in EXIT_CODES.items())
     parser = _Parser(
         prog="uqsphere",
         description="Fracture risk and uncertainty quantification of brittle spheres under impact.",
         epilog="start with:\n  uqsphere new granite -o rock.toml\n  uqsphere run rock.toml\n\n"
         f"exit codes:\n{codes}",
-        formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "--version", action="store_true", help="versions of uqsphere and its dependencies"
     )
     commands = parser.add_subparsers(metavar="COMMAND")
-
-    def add(command: Callable[[Namespace], int | None]) -> ArgumentParser:
-        """The parser of a command, whose docstring has its help and its examples."""
+    parsers = {}
+    for command in (
+        _new,
+        _check,
+        _run,
+        _sweep,
+        _report,
+        _compare,
+        _history,
+        _verify,
+        _list,
+        _schema,
+        _bench,
+    ):
+        # the docstring has the help and the examples
         text, _, *examples = (getdoc(command) or "\n\n").splitlines()
         heading = "example:" if len(examples) == 1 else "examples:"
-        added = commands.add_parser(
-            command.__name__[1:],
+        name = command.__name__[1:]
+        parsers[name] = commands.add_parser(
+            name,
             help=text[:1].lower() + text[1:-1],
             description=text,
             epilog="\n  ".join([heading, *examples]),
-            formatter_class=RawDescriptionHelpFormatter,
         )
-        added.set_defaults(command=command)
-        return added
-
-    def directory(command: ArgumentParser, text: str) -> None:
-        command.add_argument("--out", type=Path, metavar="DIR", help=text)
-
-    new = add(_new)
-    template = new.add_argument(
-        "template", nargs="?", metavar="TEMPLATE", help="a shipped study (default: list them)"
-    )
-    template.completer = lambda **_: _templates()  # type: ignore[attr-defined]
-    new.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write")
-    _with_study(add(_check))
-    run = add(_run)
-    _with_study(run)
-    _with_model(run)
-    directory(run, "results directory (default: FILE-results)")
-    run.add_argument(
-        "--fresh",
-        action="store_true",
-        help="discard earlier results and stored model runs in the directory",
-    )
-    run.add_argument(
-        "--json", action="store_true", help="print results.json instead of the summary"
-    )
-    sweep = add(_sweep)
-    _with_study(sweep)
-    _with_model(sweep)
-    sweep.add_argument(
-        "--over",
-        action="append",
-        required=True,
-        metavar="KEY=VALUES",
-        help="a study key and its values, separated by commas (once or twice)",
-    )
-    directory(sweep, "directory of the sweep (default: FILE-sweep)")
-    add(_report).add_argument("folder", type=Path, metavar="DIR")
-    compare = add(_compare)
-    compare.add_argument("folders", type=Path, nargs="+", metavar="DIR")
-    compare.add_argument("--csv", type=Path, metavar="FILE", help="write all answers to a file")
-    history = add(_history)
-    _with_study(history)
-    directory(history, "directory for the table and the figures")
-    verify = add(_verify)
-    verify.add_argument("folder", type=Path, metavar="DIR")
-    verify.add_argument(
-        "--again", action="store_true", help="repeat the run and compare its answers"
-    )
-    verify.add_argument("--model", metavar="FILE.py:FUNCTION", help="user model (black box)")
-    add(_list).add_argument(
-        "what", choices=("materials", "quantities", "criteria", "distributions")
-    )
-    add(_schema).add_argument("what", nargs="?", choices=("study", "results"), default="study")
-    bench = add(_bench)
-    bench.add_argument("--rows", type=_count, default=1024, metavar="N")
-    bench.add_argument(
-        "--study",
-        type=Path,
-        metavar="FILE",
-        help="time per row and error of the quantities of this study, by tolerance",
-    )
+        parsers[name].set_defaults(command=command)
+    for options in packaged("arguments.toml")["arguments"]:
+        names = options.pop("names")
+        for name in options.pop("commands"):
+            argument = parsers[name].add_argument(*names, **options)
+            if argument.dest == "template":
+                argument.completer = lambda **_: _templates()  # type: ignore[attr-defined]
     if find_spec("uqsphere.labs"):
         for name, text in LABS.items():
             commands.add_parser(name, help=text)
     return parser
-
-
-def _with_study(parser: ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="study file; - reads stdin")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="overrides",
-        help="override a study value, for example sphere.radius='12 mm' (repeatable)",
-    )
-
-
-def _with_model(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "-j",
-        "--processes",
-        type=_count,
-        metavar="N",
-        help="number of threads, or of worker processes for a user model",
-    )
-    parser.add_argument(
-        "--budget", metavar="TIME", help="time budget instead of the study's, for example 10min"
-    )
-    parser.add_argument(
-        "--model",
-        metavar="FILE.py:FUNCTION",
-        help="user model of a black-box study; its code is executed",
-    )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="make the model runs of a black box, or the points of a sweep, on a Dask cluster: "
-        "the address of its scheduler, or a scheduler file",
-    )
 
 
 def _count(text: str) -> int:
