@@ -13,7 +13,9 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from uqsphere.errors import Fault as Fault
 from uqsphere.errors import Problem, StudyError, UsageError, as_text
+from uqsphere.errors import path_of as path_of
 from uqsphere.files import packaged, read_given
 from uqsphere.units import alien, shown
 
@@ -46,37 +48,16 @@ class TomlTable(BaseModel):
 Kind = TypeVar("Kind", bound=TomlTable)
 
 
-class Fault(ValueError):
-    """A fault of one part of a value: `at` is the way to it, as users write it."""
-
-    def __init__(self, message: str, *at: str | int) -> None:
-        super().__init__(message)
-        self.at = path_of(*at)
-
-
 @contextmanager
 def within(*at: str | int) -> Iterator[None]:
     """A fault inside lies on the way `at`."""
     try:
         yield
     except Fault as error:
-        raise Fault(str(error), *at, error.at) from None
+        raise Fault(str(error), *at, error.key) from None
 
 
 # --- words ----------------------------------------------------------------------------------------
-
-
-def path_of(*parts: str | int) -> str:
-    """A place as users write it: keys, numbers of entries, and places inside of these.
-
-    >>> path_of("dependence", 0, "of"), path_of("limits.high", "", "values[1]")
-    ('dependence[0].of', 'limits.high.values[1]')
-    """
-    path = ""
-    for part in parts:
-        if part != "":
-            path += f"[{part}]" if isinstance(part, int) else f".{part}"
-    return path.replace(".[", "[").removeprefix(".")
 
 
 def above(path: str) -> list[str]:
@@ -246,12 +227,12 @@ def located(text: str, faults: Iterable[Fault], overridden: Iterable[str]) -> li
     lines = lines_of(text)
     problems = []
     for fault in faults:
-        places = above(fault.at)
+        places = above(fault.key)
         message = str(fault)
         if not set(places).isdisjoint(overridden):
             message += " (set by --set)"
         line = next(lines[place] for place in places if place in lines)
-        problems.append(Problem(line=line, path=as_text(fault.at), message=message))
+        problems.append(Problem(line=line, path=as_text(fault.key), message=message))
     return list(dict.fromkeys(problems))
 
 
@@ -377,7 +358,7 @@ def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
         place = tuple(part for part in entry["loc"] if not _MEMBER.fullmatch(str(part)))
         if place in above:
             continue
-        at = getattr(entry.get("ctx", {}).get("error"), "at", "")
+        at = getattr(entry.get("ctx", {}).get("error"), "key", "")
         faults[place] = Fault(_text(kind, entry, place), *place, at)
         above |= {place[:n] for n in range(len(place) + 1)}
     return list(faults.values())

@@ -60,6 +60,27 @@ def whole(value: SupportsIndex, name: str, least: int = 0) -> int:
     return number
 
 
+def path_of(*parts: str | int) -> str:
+    """A place as users write it: keys, numbers of entries, and places inside of these.
+
+    >>> path_of("dependence", 0, "of"), path_of("limits.high", "", "values[1]")
+    ('dependence[0].of', 'limits.high.values[1]')
+    """
+    path = ""
+    for part in parts:
+        if part != "":
+            path += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return path.replace(".[", "[").removeprefix(".")
+
+
+class Fault(ValueError):
+    """A fault of one part of what was given: `key` is the way to it, as users write it."""
+
+    def __init__(self, message: str, *at: str | int) -> None:
+        super().__init__(message)
+        self.key = path_of(*at)
+
+
 @dataclass(frozen=True, kw_only=True, order=True)
 class Problem:
     """One fault of an input file, with the line where it stands, from 1."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.documents import WORDS, suggestion
-from uqsphere.errors import UsageError, as_text
+from uqsphere.errors import Fault, UsageError, as_text
 from uqsphere.files import TooLarge, read_given
 from uqsphere.units import SPELLED, UNITS, alien, nearest_unit, typed_units
 
@@ -74,14 +74,10 @@ _ALL_UNITS = {"", "-", *SPELLED} | {unit for unit in chain(*UNITS.values()) if n
 _FOREIGN_UNITS = {"kip", "kips", "klbf", "tonf", "mil", "mils"}
 
 
-class TableError(UsageError):
+class TableError(UsageError, Fault):
     """A table cannot be used: every fault, one a line; `key` is what the caller named the first bad
     column by.
     """
-
-    def __init__(self, message: str, key: str = "") -> None:
-        super().__init__(message)
-        self.key = key
 
 
 def unit_in_heading(heading: str, dimension: str) -> tuple[str, str | None]:

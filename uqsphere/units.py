@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from uqsphere.arrays import Duo, Names, Values, frozen
-from uqsphere.errors import as_text
+from uqsphere.errors import Fault, as_text
 from uqsphere.files import packaged
 
 
-class UnitError(ValueError):
+class UnitError(Fault):
     """A text is not a number with a unit of the required dimension."""
 
 

@@ -553,7 +553,7 @@ def _joined(random: Mapping[str, Law], ties: Sequence[Dependence], index: int) -
         key = error.key
         if key == "spearman" and ties[-1].spearman is None:
             key = "kendall"
-        raise Fault(error.message, f"dependence[{index}]", key) from None
+        raise Fault(str(error), f"dependence[{index}]", key) from None
 
 
 def _margins(draft: Draft) -> Faults:
@@ -612,7 +612,7 @@ def _margins(draft: Draft) -> Faults:
         except LawError as error:
             place = f"between[{index}]" if "mean" in law.given else "solve"
             yield Fault(
-                f"{solve} has no distribution with this mean: {error.message} (SI). Describe it by "
+                f"{solve} has no distribution with this mean: {error} (SI). Describe it by "
                 "mean and sd or cov, or as a fixed number",
                 f"margins.{place}",
             )

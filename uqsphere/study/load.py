@@ -87,7 +87,7 @@ def load_study(
         if faults:
             if draft.scene is not None:
                 faults += [*_doubts(draft, faults)]
-            at_keys = [Fault(str(fault), _written(fault.at, tables)) for fault in faults]
+            at_keys = [Fault(str(fault), _written(fault.key, tables)) for fault in faults]
             raise refusal(path, text, at_keys, overridden)
     notes = [Fault(message, _written(place, tables)) for place, message in draft.warnings]
     warnings = tuple(
@@ -117,7 +117,7 @@ def _doubts(draft: Draft, faults: list[Fault]) -> Iterator[Fault]:
             continue
         depth = 4 if place.startswith("limits.") else 3
         number = above(place)[-depth:][0]
-        of_it = [fault for fault in faults if number in above(fault.at)]
+        of_it = [fault for fault in faults if number in above(fault.key)]
         if not of_it:
             yield Fault(message, place)
         for fault in of_it:

@@ -31,8 +31,8 @@ from uqsphere.errors import UqsphereError
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.pulses import MeasuredPulse, measured_pulse
 from uqsphere.quantities import INPUTS, format_bounds, format_value, plain_quantity
-from uqsphere.tables import Table, TableError, read_table, unit_in_heading
-from uqsphere.units import UNITS, Quantity, UnitError, likely_unit, parse_value, shown
+from uqsphere.tables import Table, read_table, unit_in_heading
+from uqsphere.units import UNITS, Quantity, likely_unit, parse_value, shown
 from uqsphere.uq import Law, LawError, discrete_law, make_law
 from uqsphere.uq.families import DIMENSIONAL, FAMILIES, family_named
 from uqsphere.uq.fitting import (
@@ -132,10 +132,7 @@ def value_of(raw: object, quantity: Quantity, *, bounded: bool = True) -> float:
         if raw not in END_COEFFICIENTS:
             raise Fault(unknown("end", raw, [*END_COEFFICIENTS, "a number from -1 to 1"]))
         return END_COEFFICIENTS[raw]
-    try:
-        value = parse_value(raw, quantity.dimension, likely_unit(raw, quantity))
-    except UnitError as error:
-        raise Fault(str(error)) from None
+    value = parse_value(raw, quantity.dimension, likely_unit(raw, quantity))
     if bounded and not quantity.allows(value):
         raise Fault(f"{format_bounds(quantity)}, not {shown(raw)}")
     return value
@@ -195,7 +192,7 @@ def _member(raw: Mapping[str, Any], quantity: Quantity) -> Number:
     try:
         return Number(value=make_law(family.name, parameters, *bounds))
     except LawError as error:
-        message = error.message
+        message = str(error)
         if quantity.unit and error.key in ("", *DIMENSIONAL):
             message += f" (numbers in {quantity.unit})"
         raise Fault(message, *raw.keys() & {error.key}) from None
@@ -386,10 +383,8 @@ def opened(table: Any, draft: "Draft", key: str = "file") -> Iterator[Table]:
         cells = read_table(path, decimal=decimal or "", sheet=table.sheet or "")
         yield cells
         cells.finish()
-    except TableError as fault:
+    except Fault as fault:
         raise Fault(str(fault), fault.key or key) from None
-    except Fault:
-        raise
     except (UqsphereError, OSError, RuntimeError, ValueError) as error:
         reason = str(error).rpartition(": ")[2]
         raise Fault(f"{shown(name)} cannot be read as a file: {reason}", key) from None
@@ -419,10 +414,7 @@ def _law_of_data(raw: Mapping[str, Any], quantity: Quantity, draft: "Draft") -> 
         weighted = declared(Discrete, raw)
         with within("values"):
             values = [value_of(value, quantity) for value in weighted.values]
-        try:
-            return Number(value=discrete_law(values, weighted.weights))
-        except LawError as error:
-            raise Fault(error.message, error.key) from None
+        return Number(value=discrete_law(values, weighted.weights))
     table = declared(Observations, raw)
     if table.draws is not None:
         return _drawn(table, quantity, draft)
@@ -559,7 +551,7 @@ def fit(
         return fitted_law(failures, table.fit, *bounds, censored=censored, unbiased=table.unbiased)
     except LawError as error:
         key = error.key if error.key in ("fit", "lower", "upper") else "file"
-        raise Fault(error.message, key) from None
+        raise Fault(str(error), key) from None
 
 
 def warn_of_rows(

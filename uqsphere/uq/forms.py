@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uqsphere.arrays import Array, Duo, Function, Pair, bundle, quiet, special
+from uqsphere.errors import Fault
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -35,15 +36,10 @@ _TAILS = np.array([0.3, 1e-3, 1e-6, 1e-9, 1e-12])
 _HEAVY = 100.0
 
 
-class LawError(ValueError):
+class LawError(Fault):
     """A law cannot be made, or a dependence cannot hold; `key` is the offending key ("" for the
     table).
     """
-
-    def __init__(self, message: str, key: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.key = key
 
 
 def no_density(y: Array) -> Array:
