@@ -18,6 +18,9 @@ from uqsphere.labs.files import (
     in_unit,
 )
 
+#: rigs that record the energy at failure; those, and rigs that record the energy offered
+AT_FAILURE = ("platens", "load_cell", "bars")
+RIGS = (*AT_FAILURE, "drop_weight", "impact", "drop")
 #: parameters of the laws
 Parameter = Literal["e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"]
 
@@ -68,7 +71,7 @@ class TestsTable(Section):
     """
 
     file: str
-    rig: Literal["platens", "load_cell", "bars", "drop_weight", "impact", "drop"] = "load_cell"
+    rig: Literal[*RIGS] = "load_cell"  # type: ignore[valid-type]
     rig_column: str = ""
     where: dict[str, str | int | float] = Field(default_factory=dict)
     diameter: str = ""

@@ -8,20 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Flags, Names, Values
+from uqsphere.documents import WORDS
 from uqsphere.errors import UsageError
 from uqsphere.quantities import lookup
 from uqsphere.tables import Table, read_table
 
 from . import laws
-from .document import ComminutionDocument
+from .document import AT_FAILURE, RIGS, ComminutionDocument
 from .energies import particle_energies
 
-#: rigs that record the energy at failure, and those that record the energy offered
-_AT_FAILURE = ("platens", "load_cell", "bars")
-_RIGS = (*_AT_FAILURE, "drop_weight", "impact", "drop")
-_BROKE = dict.fromkeys(("broke", "broken", "1", "yes", "true"), True) | dict.fromkeys(
-    ("survived", "0", "no", "false", "stopped"), False
-)
+_BROKE = WORDS["outcomes"]
 #: relative difference within which two sizes in order are the same
 _SAME = 0.005
 _MOST_BLOWS = 10_000
@@ -111,13 +107,13 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     rig = np.full(count, want.rig)
     if want.rig_column:
         rig = np.array(table.texts(want.rig_column))
-    at_failure = np.isin(rig, _AT_FAILURE)
+    at_failure = np.isin(rig, AT_FAILURE)
     # rows of one name are the series of blows on one particle
     specimen = pd.Series(range(count))
     if want.specimen:
         specimen = pd.Series(pd.factorize(np.array(table.texts(want.specimen)))[0])
     for message, wrong in {
-        f"rig must be one of {', '.join(_RIGS)}": ~np.isin(rig, _RIGS),
+        f"rig must be one of {', '.join(RIGS)}": ~np.isin(rig, RIGS),
         "the size must be above 0": np.min(ends, axis=0) <= 0.0,
         "particles must be a whole number of at least 1": (particles % 1 > 0) | (particles < 1),
         "broken must be between 0 and particles": (broken < 0) | (broken > particles),

@@ -8,7 +8,7 @@ import numpy as np
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 
-from .mending import Record, Signal, note, smooth
+from .mending import Record, Signal, note, runs, smooth
 
 #: share of the peak at which an arrival is read, and the time [s] over which it is averaged: to
 #: doubt distances, and to shift a steep wave
@@ -145,9 +145,9 @@ def _delays(record: Record, share: float, window: float) -> tuple[_Delay, _Delay
 
 def _crossing(values: Array, level: float, begin: int, end: int) -> float:
     """First place in [begin, end) from which three values are above a level, NaN without one."""
-    above = values[begin:end] > level
-    first = np.flatnonzero(above[:-2] & above[1:-1] & above[2:])
-    return begin + first[0] if len(first) else math.nan
+    begins, lengths = runs(values[begin:end] > level)
+    lasting = begins[lengths >= 3]
+    return begin + lasting[0] if len(lasting) else math.nan
 
 
 def _doubt(delay: _Delay, steep: float, late: float) -> str:

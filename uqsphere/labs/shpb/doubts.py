@@ -37,9 +37,9 @@ def check_striker(peaks: Peaks, incident: Signal, measured: float | None) -> Non
     )
     if not measured:
         incident.changes.add(
-            "gains",
             "an error common to both bars (gain, E, diameter) does not show in a record; "
             "record.striker_speed checks the gains",
+            "gains",
         )
         if not _STRUCK[0] <= speed <= _STRUCK[1]:
             for face in peaks:

@@ -100,7 +100,7 @@ class Signal(NamedTuple):
 
 def note(gauge: Trace | Signal, step: str, text: str, size: float | None = None) -> None:
     """Note what a step of mending changed at a gauge."""
-    gauge.changes.add(step, text, size, gauge.name)
+    gauge.changes.add(text, step, size, gauge.name)
 
 
 class Record(NamedTuple):
@@ -179,8 +179,8 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
             turned.append(signal._replace(strain=signal.strain * sign, wave=wave))
         if names and not polarity:
             changes.add(
-                "sign",
                 "compression is positive in the file; the sign is changed",
+                "sign",
                 signal=", ".join(names),
             )
         signals[role] = _joined(turned, limit)
@@ -201,7 +201,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
 # --- first waves ----------------------------------------------------------------------------------
 
 
-def _runs(same: Flags) -> tuple[Places, Places]:
+def runs(same: Flags) -> tuple[Places, Places]:
     """First places and lengths of the runs of True."""
     edges = np.flatnonzero(np.diff(same, prepend=False, append=False))
     return edges[::2], edges[1::2] - edges[::2]
@@ -225,7 +225,7 @@ def _first_wave(
     width = max(1, round(2.0 * _SHORTEST / gauge.step))
     smoothed = smooth(median_filter(values, 2 * half + 1, mode="nearest"), width)
     size = np.abs(smoothed)
-    begins, lengths = _runs(size > share * size.max())
+    begins, lengths = runs(size > share * size.max())
     if lengths.max(initial=0) < 3 or not size.max() > 5.0 * noise / math.sqrt(width):
         raise UsageError(f"{gauge.name}: no wave rises above the noise before it")
     chosen = np.argmax(lengths >= max(3.0, _LASTS * lengths.max()))
@@ -284,10 +284,10 @@ def _without_faults(trace: Trace) -> Trace:
     known = trace.known
     head = values[: max(len(values) // 20, _FEWEST)]
     # a recorder writes the end of its range again and again; without noise a top may be flat
-    quiet = _runs(np.diff(head) == 0.0)[1].max(initial=0)
+    quiet = runs(np.diff(head) == 0.0)[1].max(initial=0)
     for extreme in (values.max(), values.min()):
         same = np.abs(values - extreme) <= 1e-9 * abs(extreme)
-        repeats = _runs(same)[1].max()
+        repeats = runs(same)[1].max()
         if np.ptp(head) > 0.0 and repeats >= 8 and repeats > 2 * (quiet + 1):
             known = known & ~same
             note(
@@ -320,7 +320,7 @@ def _spikes(values: Array, longest: int) -> list[tuple[int, int, float]]:
     bounds = np.maximum(_ODD * (_ROBUST * scatter), _SPIKE_SHARE * peak)
     near = away > np.maximum(0.5 * bounds, 0.05 * maximum_filter(away, width, mode="nearest"))
     spikes = []
-    for first, length in zip(*_runs(binary_closing(near)), strict=True):
+    for first, length in zip(*runs(binary_closing(near)), strict=True):
         last = first + length - 1
         if first < 1 or last > len(left) - 2:
             continue

@@ -162,7 +162,9 @@ class Change(NamedTuple):
 class Changes(list[Change]):
     """The steps of mending in their order."""
 
-    def add(self, step: str, text: str, size: float | None = None, signal: str = "") -> None:
+    def add(
+        self, text: str, step: str = "read", size: float | None = None, signal: str = ""
+    ) -> None:
         """Add a step; its text begins with the name of the signal."""
         if signal:
             text = f"{signal}: {text}"
@@ -264,7 +266,7 @@ def read_traces(
     for file in (asked.file, *asked.more_files):
         table, above = read_recorded(folder / file)
         for note in table.notes:
-            changes.add("read", note)
+            changes.add(note)
         columns = []
         for heading in table.headings:
             table.faults = {}
@@ -301,7 +303,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
     if not interval and not columns[0].rises and len(files) == 1:
         interval = _interval(above)
     if guessed and interval > 0.0:
-        changes.add("read", f"no time column: a sample every {interval * 1e6:.6g} us")
+        changes.add(f"no time column: a sample every {interval * 1e6:.6g} us")
         return interval * np.arange(len(table), dtype=float), -1
     place = table.place(1 if asked.time is None else asked.time)
     column = columns[place]
@@ -325,7 +327,7 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
     text = "has no unit: seconds are taken"
     if unit:
         text = f"is in {unit}"
-    changes.add("read", text, signal=column.name)
+    changes.add(text, signal=column.name)
     time = column.in_seconds()
     good = time[np.isfinite(time)]
     if len(good) < _FEWEST:
@@ -375,9 +377,7 @@ def _common(time: Array, place: int, files: list[Recorded], changes: Changes) ->
                 "channels with one clock"
             )
         if len(table) != len(time):
-            changes.add(
-                "read", "files of different length: the longer one is cut", signal=table.name
-            )
+            changes.add("files of different length: the longer one is cut", signal=table.name)
     return time[:count]
 
 
@@ -476,7 +476,7 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
             f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
             "Is it in another unit (BAR.unit)?"
         )
-    changes.add("read", text, signal=name)
+    changes.add(text, signal=name)
     return values
 
 
@@ -488,7 +488,7 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
     raw = np.array([trace.strain for trace in traces])
     there = np.isfinite(time)
     if not there.all():
-        changes.add("read", f"{(~there).sum()} rows without a time are ignored")
+        changes.add(f"{(~there).sum()} rows without a time are ignored")
         time = time[there]
         raw = raw[:, there]
     time, raw = _distinct(time, raw, changes)
@@ -501,7 +501,7 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
         if count > 4 * len(time) + 1000:
             raise UsageError("the steps of time differ too much: most of the record is missing")
         grid = time[0] + step * np.arange(count)
-        changes.add("read", f"uneven time steps: interpolated to {step * 1e6:.6g} us")
+        changes.add(f"uneven time steps: interpolated to {step * 1e6:.6g} us")
     even = []
     filled = 0
     lost = 0
@@ -520,11 +520,9 @@ def _even(time: Array, traces: list[Trace], changes: Changes) -> tuple[float, li
         strain = np.interp(grid, time[good], values[good])
         even.append(trace._replace(step=step, strain=strain, known=~unknown))
     if filled:
-        changes.add("read", f"{filled} missing samples are filled by interpolation")
+        changes.add(f"{filled} missing samples are filled by interpolation")
     if lost:
-        changes.add(
-            "read", f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used"
-        )
+        changes.add(f"{lost} samples lie in gaps of more than {_SHORT_GAP} and are not used")
     return grid[0], even
 
 
@@ -546,7 +544,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> Pair:
             "their mean is taken"
         )
     if text:
-        changes.add("read", text)
+        changes.add(text)
         places = np.flatnonzero(first)
         counts = np.diff(places, append=len(time))
         return time[first], np.add.reduceat(raw, places, axis=1) / counts
@@ -560,9 +558,7 @@ def _distinct(time: Array, raw: Array, changes: Changes) -> Pair:
             f"two samples have the same time, first at sample {sample}. Remove one of them, or "
             "leave out the time column and set record.sample_interval"
         )
-    changes.add(
-        "read", "the time has too few digits to distinguish its samples: even steps are assumed"
-    )
+    changes.add("the time has too few digits to distinguish its samples: even steps are assumed")
     # the last time is rounded like the others: a line gives the mean step
     slope = np.polyfit(samples, time - time[0], 1)[0]
     return time[0] + slope * samples, raw
