@@ -410,7 +410,7 @@ def test_every_function_is_compiled_in_one_form() -> None:
                 assert len(function.overloads) <= forms, function.__name__
 
 
-@pytest.mark.parametrize("name", ["_sums", "_roots", "reach", "survey", "fit_echoes"])
+@pytest.mark.parametrize("name", ["_sums", "_roots", "reach", "survey", "fit_echoes_at_a"])
 def test_the_hot_loops_are_vectorised(name: str) -> None:
     """A loop that LLVM leaves scalar costs a factor of four, and nothing else would say so."""
     processor = llvmlite.binding.get_host_cpu_features()

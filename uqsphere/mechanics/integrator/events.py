@@ -26,6 +26,7 @@ from . import tracked
 from .compiled import compiled
 from .faces import ARMED, approach_at, face_force, face_yielded, stored_energy, tail_level
 from .incoming import heard
+from .lanes import OF_POWERS
 from .tracked import (
     DIFFERENCE,
     ENERGY,
@@ -413,6 +414,20 @@ def _both_below(s, j, level, end):
 
 
 @compiled
+def _end_sooner(s, j, ends):
+    """What `lanes.survey` says of a step, up to an event that ends it."""
+    for i in range(POINTS + 1):
+        for m in range(j, PAIR, LANES):
+            s.at[i, m], s.rate[i, m] = rise_of(s.x, m, ends * i / POINTS)
+    s.u_at_end[j] = value_of(s.u, j, ends)
+    for m in range(j, PAIR, LANES):
+        impulse = 0.0
+        for k in range(ORDER, -1, -1):
+            impulse = impulse * ends + s.force[k, m] * OF_POWERS[k]
+        s.step_impulse[m] = impulse * ends
+
+
+@compiled
 def after_step(s, j):
     """Bring what is followed of a row up to date with its step; the share of the trial step at
     which it ends.
@@ -422,9 +437,7 @@ def after_step(s, j):
     lane = s.lane[j]
     ends = _first_event(s, j)
     if ends < s.theta[j]:
-        for i in range(POINTS + 1):
-            for m in range(j, PAIR, LANES):
-                s.at[i, m], s.rate[i, m] = rise_of(s.x, m, ends * i / POINTS)
+        _end_sooner(s, j, ends)
     _note_approaches(s, j, ends)
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
@@ -437,6 +450,7 @@ def after_step(s, j):
             ends = at
             lane.why = End.RECORD
             lane.ended = lane.time + at * s.h[j]
+            _end_sooner(s, j, ends)
     if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
         _note_loss(s, j, ends)
     if s.wanted & tracked.WANT_AFTER:
@@ -512,18 +526,16 @@ def _note_impulse(s, j, theta):
     z with t = z²: smooth from a touch on.
     """
     lane = s.lane[j]
-    impulse = 0.0
+    impulse = 0.5 * (s.step_impulse[j] + s.step_impulse[LANES + j])
     if lane.touching or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
+        impulse = 0.0
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):
                 x = value_of(s.x, m, theta * NODES[i] * NODES[i])
                 force, _ = face_force(s, m, x)
                 impulse += WEIGHTS[i] * NODES[i] * force
-    else:
-        for k in range(ORDER, -1, -1):
-            mean = 0.5 * (s.force[k, j] + s.force[k, LANES + j])
-            impulse = impulse * theta + mean / (k + 1.0)
-    lane.impulse += impulse * theta * s.h[j]
+        impulse *= theta
+    lane.impulse += impulse * s.h[j]
 
 
 @compiled

@@ -149,22 +149,21 @@ def read_echo(s, j, bar, past):
     lane = s.lane[j]
     m = bar * LANES + j
     begin = lane.time - lane.trips[bar]
+    i = 0
     for step in range(lane.first[bar], lane.last[bar] + 1):
         earlier = past[j, step & (s.ring - 1)]
         shift = (begin - earlier.began) / earlier.unit
         stretch = s.h[j] / earlier.unit
-        for i in range(WAVE):
+        # every point is read from the step that holds it
+        until = 2.0
+        if step < lane.last[bar]:
+            until = (past[j, (step + 1) & (s.ring - 1)].began - begin) / s.h[j]
+        while i < WAVE and WAVE_THETAS[i] < until:
             theta = shift + stretch * WAVE_THETAS[i]
             value = 0.0
             for k in range(ORDER, -1, -1):
                 value = value * theta + earlier.wave[k, bar]
-            s.work[i] = value
-        # all points are read from every step; each step keeps those behind its start
-        from_theta = -1.0
-        if step > lane.first[bar]:
-            from_theta = (earlier.began - begin) / s.h[j]
-        for i in range(WAVE):
-            if WAVE_THETAS[i] >= from_theta:
-                s.echo[i, m] = s.work[i]
+            s.echo[i, m] = value
+            i += 1
     s.returns[m] = 2.0 * lane.reflect[bar]
     s.negligible[m] = 0.1 * s.error[j] * min(s.size[j], s.size[LANES + j]) / s.h[j]

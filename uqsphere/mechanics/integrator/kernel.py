@@ -211,7 +211,8 @@ def _waves(s, past):
     for k in range(TERMS):
         for m in range(PAIR):
             s.push[k, m] = 0.0
-    echoing = False
+    echoing_a = False
+    echoing_b = False
     for m in range(PAIR):
         s.returns[m] = 0.0
         s.misfit[m] = 0.0
@@ -228,9 +229,12 @@ def _waves(s, past):
         for bar in range(2):
             if heard and lane.first[bar] >= 0:
                 incoming.read_echo(s, j, bar, past)
-                echoing = True
-    if echoing:
-        lanes.fit_echoes(s)
+                echoing_a = echoing_a or bar == 0
+                echoing_b = echoing_b or bar == 1
+    if echoing_a:
+        lanes.fit_echoes_at_a(s)
+    if echoing_b:
+        lanes.fit_echoes_at_b(s)
 
 
 @compiled
@@ -512,9 +516,9 @@ def _move_on(s, j, ending):
     lane = s.lane[j]
     side = lane.side * LANES + j
     closes = s.x[0, side] <= 0.0
-    s.u[0, j] = s.u[0, LANES + j] = events.value_of(s.u, j, ending)
+    s.u[0, j] = s.u[0, LANES + j] = s.u_at_end[j]
     for m in range(j, PAIR, LANES):
-        s.x[0, m] = events.value_of(s.x, m, ending)
+        s.x[0, m] = s.at[POINTS, m]
     lane.touching = 0
     lane.single = 0
     if lane.why == End.CONTACT:

@@ -35,6 +35,8 @@ _CIRCLE = 0.85
 #: times a step is shortened at most because the series of its root has parted from the root: the
 #: series stays as it is, while a step that is tried again (`kernel._holds`) costs one of its own
 _SHORTER = 3
+#: integrals of the powers of theta from 0 to 1
+OF_POWERS = 1.0 / np.arange(1.0, TERMS + 1.0)
 
 
 @compiled
@@ -231,7 +233,9 @@ def shorten_to_roots(s):
 
 @compiled
 def survey(s):
-    """Approaches and rates at the nodes of every step, their bounds between them, other ends."""
+    """Approaches and rates at the nodes of every step, and their bounds between them; speeds at its
+    end and impulses of the forces over it.  An event that ends it sooner replaces them.
+    """
     for c in range(PAIR):
         s.at[0, c] = s.x[0, c]
         s.rate[0, c] = s.x[1, c]
@@ -245,6 +249,15 @@ def survey(s):
                 x = x * z + s.x[ORDER - k, c]
             s.at[i, c] = x
             s.rate[i, c] = rate
+    for c in range(PAIR):
+        z = s.theta[c]
+        u = 0.0
+        impulse = 0.0
+        for k in range(TERMS):
+            u = u * z + s.u[ORDER - k, c]
+            impulse = impulse * z + s.force[ORDER - k, c] * OF_POWERS[ORDER - k]
+        s.u_at_end[c] = u
+        s.step_impulse[c] = impulse * z
     for c in range(PAIR):
         width = s.theta[c] / POINTS
         top = s.at[0, c]
@@ -279,30 +292,39 @@ _TO_DEGREES = np.ascontiguousarray(_TO_DEGREES)
 _LEAST = 4
 
 
-@compiled
-def fit_echoes(s):
-    """Add the waves read at Chebyshev points, s.echo times s.returns, to what runs towards the
-    faces.
+def _fit_echoes(first):
+    """A function for the faces whose columns begin at `first`, that adds the waves read at
+    Chebyshev points, s.echo times s.returns, to what runs towards them.
 
     Terms that together stay below s.negligible are joints between steps: as powers of theta they
     would be large.
     """
-    for degree in range(WAVE):
-        for c in range(PAIR):
-            total = 0.0
-            for i in range(WAVE):
-                total += _TO_DEGREES[degree, i] * s.echo[i, c]
-            s.degrees[degree, c] = total * s.returns[c]
-    for c in range(PAIR):
-        s.misfit[c] = abs(s.degrees[WAVE - 1, c]) + abs(s.degrees[WAVE - 2, c])
-        dropped = 0.0
-        for back in range(WAVE - _LEAST):
-            term = s.degrees[WAVE - 1 - back, c]
-            dropped += abs(term)
-            s.degrees[WAVE - 1 - back, c] = term if dropped > s.negligible[c] else 0.0
-    for k in range(WAVE):
-        for c in range(PAIR):
-            total = s.push[k, c]
-            for degree in range(WAVE):
-                total += _TO_POWERS[k, degree] * s.degrees[degree, c]
-            s.push[k, c] = total
+    behind = first + LANES
+
+    @compiled
+    def fit_echoes(s):
+        for degree in range(WAVE):
+            for c in range(first, behind):
+                total = 0.0
+                for i in range(WAVE):
+                    total += _TO_DEGREES[degree, i] * s.echo[i, c]
+                s.degrees[degree, c] = total * s.returns[c]
+        for c in range(first, behind):
+            s.misfit[c] = abs(s.degrees[WAVE - 1, c]) + abs(s.degrees[WAVE - 2, c])
+            dropped = 0.0
+            for back in range(WAVE - _LEAST):
+                term = s.degrees[WAVE - 1 - back, c]
+                dropped += abs(term)
+                s.degrees[WAVE - 1 - back, c] = term if dropped > s.negligible[c] else 0.0
+        for k in range(WAVE):
+            for c in range(first, behind):
+                total = s.push[k, c]
+                for degree in range(WAVE):
+                    total += _TO_POWERS[k, degree] * s.degrees[degree, c]
+                s.push[k, c] = total
+
+    return fit_echoes
+
+
+fit_echoes_at_a = _fit_echoes(0)
+fit_echoes_at_b = _fit_echoes(LANES)

@@ -367,6 +367,8 @@ STATE = np.dtype(
             "wrong",  # error of the force by its root at the step's end; shorten_to_roots
             "top",  # bound of an approach above; survey
             "floor",  # and below; survey
+            "u_at_end",  # u at the end of the step; survey, end_sooner
+            "step_impulse",  # of the forces over the step, over h; survey, end_sooner
         ),
         *_fields(
             "f8",
@@ -419,7 +421,6 @@ STATE = np.dtype(
             "local",  # error allowed in one step
             "closer",  # share of it once a face has yielded
         ),
-        ("work", "f8", WAVE),  # values of an echo; read_echo
         ("cell_end", "f8", (2, CELLS)),  # t_c; ends of the cells of waves under way; records
         ("cells", "i8", 2),  # how many of them; records
         ("cell_wave", "f8", (2, CELLS)),  # the waves in them at most; records
