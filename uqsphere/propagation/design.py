@@ -12,9 +12,9 @@ tests.  So the scatter of E and nu in the tests is never counted a second time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -187,11 +187,24 @@ class Design:
         return at_normals(joint or self.drawn, self.normals(count, start))
 
     @cached_property
-    def normals(self) -> Callable[..., Array]:
-        """The points as independent standard normals (R, count, D), by `count` and `start`; the
-        last ones are kept, since all values of a line and all expansions ask for the same.
+    def _kept(self) -> dict[str, Array]:
+        """The normals of as many first points as were asked for."""
+        return {"first": self._normals(0)}
+
+    def normals(self, count: int, start: int = 0) -> Array:
+        """The points as independent standard normals (R, count, D).
+
+        Those from the first on are kept: all values of a line and all expansions ask for the same,
+        and a larger sample for more of them.
         """
-        return lru_cache(maxsize=2)(self._normals)
+        first = self._kept["first"]
+        more = start + count - first.shape[1]
+        if more > 0 and start > 0:
+            return self._normals(count, start)
+        if more > 0:
+            first = np.concatenate([first, self._normals(more, first.shape[1])], axis=1)
+            self._kept["first"] = first
+        return first[:, start : start + count]
 
     def _normals(self, count: int, start: int = 0) -> Array:
         uniforms = [

@@ -80,7 +80,7 @@ def grow(
                 sample = tables.sample.with_room(count)
                 tables = replace(tables, sample=sample.head(tables.sample.count))
                 fill(design, model, sample, tables.sample.count)
-                grown = replace(tables, sample=sample, descriptions={})
+                grown = replace(tables, sample=sample, descriptions={}, many={})
             line = evaluated_at(design, model, grown.line, _line_counts(design, tables, count))
             tables = _answered(model, replace(grown, line=line), rows_left)
         except Interrupted:

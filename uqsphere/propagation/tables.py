@@ -5,6 +5,7 @@ one way in which points become rows.
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,7 +95,8 @@ class Tables:
     expansions : polynomial chaos by quantity
     rare : searches for small probabilities by limit
     margins : of limits, each with the scale of its accuracy
-    descriptions : of quantities, kept once they are asked for
+    descriptions, many : of quantities, and the values of their control variates, kept once they
+        are asked for
     errors : of all answers that have a requirement
     reached : (model runs, largest error over its requirement) at each size
     stopped : why the tables do not grow any more; empty while they do
@@ -111,6 +113,7 @@ class Tables:
     rare: Mapping[str, Searched] = field(default_factory=dict)
     margins: Mapping[str, tuple[Estimate, float | None]] = field(default_factory=dict)
     descriptions: dict[str, Description] = field(default_factory=dict)
+    many: dict[str, Array] = field(default_factory=dict)
     errors: Sequence[Accuracy] = ()
     reached: Sequence[tuple[int, float]] = ()
     stopped: Stop = ""
@@ -128,7 +131,7 @@ class Tables:
         """Model runs that the sample rests on."""
         return self.rows.size
 
-    @property
+    @cached_property
     def failed(self) -> float:
         """The share of the model runs that failed."""
         failed = [rows.failed for rows in (self.sample, *self.line.values())]
@@ -219,8 +222,10 @@ class Tables:
         expansion = self._control(name)
         if not expansion:
             return self.sample.answer(name)
-        count = min(MANY * self.sample.count, MOST_MANY)
-        return values_at(self.design, expansion, self.design.normals(count))
+        if name not in self.many:
+            count = min(MANY * self.sample.count, MOST_MANY)
+            self.many[name] = values_at(self.design, expansion, self.design.normals(count))
+        return self.many[name]
 
     def probability(
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
@@ -314,7 +319,7 @@ class Slow(Tables):
         """The model's own rows."""
         return self.evaluated
 
-    @property
+    @cached_property
     def failed(self) -> float:
         """The share of the model runs that failed."""
         failed = self.dropped + int(self.rows.failed.sum())
