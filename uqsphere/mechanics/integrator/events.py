@@ -420,6 +420,8 @@ def _end_sooner(s, j, ends):
         for m in range(j, PAIR, LANES):
             s.at[i, m], s.rate[i, m] = rise_of(s.x, m, ends * i / POINTS)
     s.u_at_end[j] = value_of(s.u, j, ends)
+    if not s.wanted & tracked.WANT_DURATION:
+        return
     for m in range(j, PAIR, LANES):
         impulse = 0.0
         for k in range(ORDER, -1, -1):

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 
 from .compiled import compiled
-from .tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS, WAVE
+from .tracked import LANES, LINEAR, MASSLESS, ORDER, PAIR, POINTS, TERMS, WANT_DURATION, WAVE
 
 #: share of the radius of convergence that a step may use: 0.85^16 is 0.07 (docs/theory.md, section
 #: 5)
@@ -250,14 +250,16 @@ def survey(s):
             s.at[i, c] = x
             s.rate[i, c] = rate
     for c in range(PAIR):
-        z = s.theta[c]
         u = 0.0
-        impulse = 0.0
         for k in range(TERMS):
-            u = u * z + s.u[ORDER - k, c]
-            impulse = impulse * z + s.force[ORDER - k, c] * OF_POWERS[ORDER - k]
+            u = u * s.theta[c] + s.u[ORDER - k, c]
         s.u_at_end[c] = u
-        s.step_impulse[c] = impulse * z
+    if s.wanted & WANT_DURATION:
+        for c in range(PAIR):
+            impulse = 0.0
+            for k in range(TERMS):
+                impulse = impulse * s.theta[c] + s.force[ORDER - k, c] * OF_POWERS[ORDER - k]
+            s.step_impulse[c] = impulse * s.theta[c]
     for c in range(PAIR):
         width = s.theta[c] / POINTS
         top = s.at[0, c]
