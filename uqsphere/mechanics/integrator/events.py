@@ -443,7 +443,11 @@ def after_step(s, j):
     _note_approaches(s, j, ends)
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
-            lane.peak[kind] = _highest(s, j, kind, ends, lane.peak[kind])
+            before = lane.peak[kind]
+            lane.peak[kind] = _highest(s, j, kind, ends, before)
+            # a difference behind the last largest force does not count
+            if kind > DIFFERENCE and lane.peak[kind] > before:
+                lane.regained = lane.touches
     if not s.rigged and lane.end == inf and lane.time >= lane.pulse_end:
         # the record ends below a share of the largest approach
         lane.low = tail_level(s, j)
@@ -479,6 +483,8 @@ def _note_approaches(s, j, ends):
         # well above what is faint a face has touched, by half of the errors that may add up
         if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[m]:
             lane.touched[face] = 1.0
+        if place >= 0.0:
+            lane.regained = lane.touches
         if s.rigged and place >= 0.0:
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
             lane.chatter = lane.touches

@@ -491,9 +491,7 @@ def _judge(s, j):
     lane = s.lane[j]
     if lane.fate != GOES_ON:
         return
-    may_end = lane.steady >= 0.0
-    if s.rigged:
-        may_end = lane.why == End.CONTACT
+    may_end = s.rigged or lane.steady >= 0.0
     if may_end and not lane.touching and records.no_later_peak(s, j):
         lane.fate = tracked.OK
         return

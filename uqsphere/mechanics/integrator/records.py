@@ -369,12 +369,27 @@ def _stays_below(s, j, squeeze, largest, stiffness):
 
 
 @compiled
-def _moving_energy(s, j, level):
-    """Kinetic energy of the bodies of a row, of the sphere relative to a speed."""
-    energy = 0.5 * s.lane[j].mass * (s.u[0, j] - level) ** 2
+def _energy_left(s, j, level):
+    """Energy of the faces and bodies of a row that may still press, of the sphere relative to a
+    speed.
+
+    s.presses: which faces may.  A body that has left presses no more once it moves away faster than
+    all energy of the others could send the sphere after it.
+    """
+    mass = s.lane[j].mass
+    energy = 0.5 * mass * (s.u[0, j] - level) ** 2
     for m in range(j, PAIR, LANES):
+        s.presses[m] = s.there[m]
+        energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
         if s.lightness[m] > 0.0:
             energy += 0.5 * s.free[0, m] ** 2 / s.lightness[m]
+    for m in range(j, PAIR, LANES):
+        speed = s.free[0, m]
+        if s.lightness[m] > 0.0 and s.x[0, m] <= 0.0 and speed < 0.0:
+            others = energy - 0.5 * speed * speed / s.lightness[m]
+            if mass * speed * speed > 2.0 * others:
+                s.presses[m] = 0.0
+                energy = others
     return energy
 
 
@@ -387,7 +402,8 @@ def no_higher_approach(s, j):
     level)².  No approach above the one at rest can be exceeded whose phi is not below V.  Faces
     with laws of their own are all springs now: what yields takes energy and brings none back.
     In other rigs level is 0, and V the energy of all bodies: V' = -(zeta q + 2 h) q at a rod, where
-    h >= 0 if R >= 0, since its echoes then only pull its end away.
+    h >= 0 if R >= 0, since its echoes then only pull its end away; this holds while faces are
+    pressed, too.
     """
     lane = s.lane[j]
     level = lane.steady
@@ -396,15 +412,14 @@ def no_higher_approach(s, j):
         level = 0.0
     if level < 0.0:
         return False
-    stored = _moving_energy(s, j, level)
+    stored = _energy_left(s, j, level)
     least = inf
     rest = level
     least_phi = 0.5 * level * level
     for m in range(j, PAIR, LANES):
-        if s.there[m] == 0.0:
+        if s.presses[m] == 0.0:
             continue
         spring = s.spring[m]
-        reached = max(s.x[0, m], 0.0)
         if spring == 0.0:
             return False
         if level > 0.0 and s.mode != LINEAR:
@@ -414,7 +429,7 @@ def no_higher_approach(s, j):
         if top < rest * slack:
             return False
         least = min(least, stored_energy(s, m, top)[0] - level * top + least_phi)
-        stored += stored_energy(s, m, reached)[0] - level * reached + least_phi
+        stored += least_phi - level * max(s.x[0, m], 0.0)
     return not least < stored
 
 
@@ -456,10 +471,9 @@ def no_later_peak(s, j):
         return False
     if not no_higher_approach(s, j):
         return False
-    energy = _moving_energy(s, j, 0.0)
+    energy = _energy_left(s, j, 0.0)
     stiffest = 0.0
     for m in range(j, PAIR, LANES):
-        energy += stored_energy(s, m, max(s.x[0, m], 0.0))[0]
         stiffest = max(stiffest, s.spring[m])
     force = math.sqrt(2.0 * energy)
     if s.mode != LINEAR:
@@ -538,3 +552,6 @@ def finish(s, j, past, out):
     out.ended = lane.ended
     out.unloadings = lane.unloadings
     out.touches = lane.chatter
+    out.regained = lane.regained
+    if s.rigged:
+        out.regained = lane.touches

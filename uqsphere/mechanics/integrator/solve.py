@@ -523,7 +523,9 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
-#: answers of long rows that are compared at two tolerances; not a number where not wanted
+#: share of its speed by which two looks at a motion differ at its end where they have parted
+_ASTRAY = 1e-2
+#: answers of risky rows that are compared at two tolerances; not a number where not wanted
 _COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
 
 
@@ -534,8 +536,9 @@ def look_closer(rows: Rows, task: Task) -> Any:
     `doubt` is above 0 where the finest tolerance still leaves a doubt: 1 where an error
     of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
     tolerances, and where a duration that counts contacts behind the first loss differs by as much
-    from that at a hundredth of the tolerance; 2 where any answer of a row of many steps still
-    differs by as much between the two finest tolerances that it has room for.
+    from that at a hundredth of the tolerance; 2 where any answer of a row of many steps, or behind
+    a contact that was found again, still differs by as much between the two finest tolerances that
+    it has room for.
     """
     wanted = task.wanted
     tolerance = task.tolerance
@@ -547,10 +550,16 @@ def look_closer(rows: Rows, task: Task) -> Any:
     timed = strict
     if task.stop_at_loss and not task.rigged:
         timed = wanted & tracked.BY_LOSS != 0
-    echoing = np.isfinite(rows.round_trips).any(axis=1)
+    echoing = np.asarray(np.isfinite(rows.round_trips).any(axis=1))
     summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
-    many = ended & (answers["steps"] > _MANY_STEPS) & (echoing | summed)
-    unsettled = many.copy()
+    # many steps add errors up, and each contact that is found again throws the sphere by its own
+    many = answers["steps"] > _MANY_STEPS
+    risky = ended & ((many & (echoing | summed)) | (answers["regained"] > 0.0))
+    unsettled = risky.copy()
+    moving = risky.copy()
+    compared = _COMPARED
+    if task.rigged and strict:
+        compared = compared | {"parting"}
     # rows whose duration counts contacts behind their first loss
     behind = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
     counted = ended & behind & (wanted & tracked.WANT_DURATION != 0 and not task.rigged)
@@ -571,14 +580,21 @@ def look_closer(rows: Rows, task: Task) -> Any:
             done = look["status"] == tracked.OK
             closest[picked] = np.where(done, closer, _FINEST)
             before = tracked.answer_columns(answers[picked])
-            differs = {
-                name: np.abs(column - before[name]) > _FIRM * tolerance * np.abs(column)
-                for name, column in tracked.answer_columns(look).items()
-            }
-            unsettled[picked] = many[picked] & (
-                ~done | np.any([differs[name] for name in _COMPARED], axis=0)
-            )
-            counted[picked] &= ~done | differs["duration"]
+            columns = tracked.answer_columns(look)
+            with np.errstate(divide="ignore", invalid="ignore"):  # both are zero, or not wanted
+                differs = {
+                    name: np.abs(columns[name] / before[name] - 1.0) / tolerance
+                    for name in compared
+                }
+            largest = np.fmax.reduce([np.zeros(len(picked)), *differs.values()])
+            # a record that goes on to its horizon may have missed a blow where it is not known how
+            # the sphere moves at the end
+            speed = look["sphere_speed"]
+            astray = np.abs(speed - answers["sphere_speed"][picked]) > _ASTRAY * np.abs(speed)
+            astray &= echoing[picked] & (look["ended"] >= rows.horizon[picked] * (1.0 - 1e-12))
+            unsettled[picked] = risky[picked] & (~done | (largest > 1.0) | astray)
+            moving[picked] = risky[picked] & (~done | (largest > _FIRM))
+            counted[picked] &= ~done | (differs["duration"] > _FIRM)
             answers[picked[done]] = look[done]
-    answers["doubt"] = np.where(unsettled, 2.0, doubt | counted)
+    answers["doubt"] = np.where(moving, 2.0, doubt | counted)
     return answers

@@ -122,6 +122,7 @@ ANSWER = np.dtype(
             "ended",  # end of the record
             "unloadings",  # how often a face that yields was unloaded
             "touches",  # how often contact was regained before the largest approach
+            "regained",  # before any largest value; of a rig before its end
         ),
         ("status", "i8"),  # OK if it has answers
         ("steps", "i8"),  # taken
@@ -267,6 +268,7 @@ LANE = np.dtype(
             "parted",  # t_c; last loss of contact; move_on
             "ended",  # t_c; end of the record; after_step, leave
             "touches",  # contacts found again; move_on
+            "regained",  # those before a largest value; after_step
             "chatter",  # those before the largest approach; after_step
             "unloadings",  # of faces that yield; switch
         ),
@@ -358,6 +360,7 @@ STATE = np.dtype(
             "gives",  # zeta, 1 for a bar; enter
             "lightness",  # 1/mu_i of a body that moves freely; enter
             "there",  # 0 where nothing stands at the pole; enter
+            "presses",  # 0 where nothing will press any more; energy_left
             "side_sign",  # +1 at A, -1 at B; march_rows
             # the series of the step, in powers of theta
             "first_root",  # y at the start; roots
