@@ -44,7 +44,7 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(
         tracemalloc.start()
         room = before.sample.with_room(16_384)
         before = replace(before, sample=room.head(8192))
-        grow.fill(design, model, room, 8192)
+        grow.fill(Design.of(study), model, room, 8192)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 1.15 * whole
@@ -55,6 +55,14 @@ def test_tables_grow_in_place_to_what_they_would_be_at_once(
         pairs = paired(design, model, 100, ["y"], {}, 1e9)
         longer = paired(design, model, 300, ["y"], pairs, 1e9)
         assert (longer["y"] == paired(design, model, 300, ["y"], {}, 1e9)["y"]).all()
+
+
+def test_points_are_the_same_whatever_was_asked_for_before() -> None:
+    study = load_study(text=STUDY)
+    at_once = Design.of(study).normals(64)
+    design = Design.of(study)
+    for count, start in ((16, 0), (8, 0), (8, 12), (16, 16), (64, 0), (8, 48)):
+        assert (design.normals(count, start) == at_once[:, start : start + count]).all()
 
 
 def oscillator(x: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
