@@ -528,6 +528,43 @@ def test_rows_that_fail_by_two_inputs_together_turn_no_verdict(analysis: dict[st
         assert "of the model runs failed" in " ".join(text.split())
 
 
+@pytest.mark.parametrize("policy", ["bound", "15 %"])
+def test_rows_that_fail_beside_a_tiny_probability_cost_no_runs_and_are_allowed_for(
+    policy: str,
+) -> None:
+    """The accuracy was their share over the probability, 1e9 of what was required; the search knew
+    the share of those near the limit only, so that a verdict was met.
+    """
+
+    def failing(x: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.where(np.modf(1e4 * x["b"])[0] < 0.005, np.nan, 10.0 + x["a"])}
+
+    strength = {"dist": "lognormal", "log_mean": np.log(25.0), "log_sd": 0.1}
+    coarse = {"mean": 0.1, "quantile": 0.5, "sobol": 0.5, "probability": 0.05}
+    limit = {"quantity": "y", "strength": strength, "aim": "survive", "target": 1e-3}
+    run = uqsphere.run(
+        study(
+            inputs={"a": NORMAL, "b": {"dist": "uniform", "lower": 0.0, "upper": 1.0}},
+            limits={"high": limit},
+            analysis={"on_failure": policy, "accuracy": coarse},
+        ),
+        failing,
+    )
+    accuracy = run.results.accuracy
+    assert accuracy.stopped == "accurate"
+    assert accuracy.reached[-1].error < 1.0
+    y = np.linspace(0.0, 30.0, 30_001)
+    exceeded = stats.norm.pdf(y, 10.0) * stats.lognorm.cdf(y, 0.1, scale=25.0)
+    truth = float(exceeded.sum() * (y[1] - y[0]))
+    p = run.probability("high")
+    assert p["low"] < truth < p["high"]
+    assert p["high_unseen"] > 0.005
+    assert p["value"] == pytest.approx(truth, rel=0.05)
+    (decision,) = run.results.decisions
+    assert decision.verdict == "undecided"
+    assert "more runs do not lower what is left open" in " ".join(summary(run.results).split())
+
+
 # --- slow models ----------------------------------------------------------------------------------
 
 

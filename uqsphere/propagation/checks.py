@@ -81,7 +81,8 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             share=failed,
             grade="warning",
             text=f"{format_probability(failed)} of the model runs failed",
-            effect=f"{effect}; verdict and number to use hold whatever they would have been",
+            effect=f"{effect}; verdict and number to use hold whatever they would have been; "
+            "accuracies are of the runs that answered: more runs do not lower what is left open",
         )
     margins = design.study.moving
     if margins and tables.line:

@@ -303,7 +303,7 @@ def _accuracies(tables: Tables) -> Iterator[Accuracy]:
         yield Accuracy(name, "mean", error, required.mean)
         for p, estimate in description.quantiles.items():
             if estimate.value is not None:
-                error = estimate.half_width / scale - least
+                error = estimate.reducible / scale - least
                 yield Accuracy(name, f"quantile {p:g}", error, required.quantile)
         for label, row in tables.sobol(name).items():
             widest = max((e.half_width for e in row if e.value is not None), default=0.0)
@@ -316,7 +316,7 @@ def _accuracies(tables: Tables) -> Iterator[Accuracy]:
             continue
         if not searched and rare.is_left_to_search(design, estimate):
             continue
-        error = estimate.half_width / estimate.value
+        error = estimate.reducible / estimate.value
         yield Accuracy(subject, "failure_probability", error, required.probability)
         room = limit.target - (estimate.high or 1.0)
         if limit.has_target and searched and room > 0.0:
@@ -324,5 +324,5 @@ def _accuracies(tables: Tables) -> Iterator[Accuracy]:
             yield Accuracy(subject, "unseen_failures", count_bound(tables.sample.size), room)
     for limit_name, (margin, width) in tables.margins.items():
         if margin.value is not None and width is not None:
-            error = margin.half_width / width
+            error = margin.reducible / width
             yield Accuracy(f"limits.{limit_name}", "margin", error, required.probability)

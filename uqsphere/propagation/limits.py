@@ -16,7 +16,7 @@ from uqsphere.models.scene import fractures_of
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import Limit, limit_of
 from uqsphere.uq import Estimate, Law, LimitState, Sample, exact, from_replicates, score_of
-from uqsphere.uq.estimate import absent, count_bound, share
+from uqsphere.uq.estimate import absent, count_bound, lost_share, share
 from uqsphere.uq.limit_state import (
     make_union,
     reliability_index,
@@ -59,9 +59,14 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     """The failure probability of a limit: of missing its aim."""
     design = tables.design
     column = limit.column
-    sampled = state_of(design, limit, tables.sample).failure_of_aim(limit.aim)
+    state = state_of(design, limit, tables.sample)
+    sampled = state.failure_of_aim(limit.aim)
     if limit.name in tables.rare:
-        return _searched(tables.rare[limit.name].estimate, sampled)
+        searched = tables.rare[limit.name].estimate
+        lost = lost_share(state.broken)
+        if lost:
+            searched = _of_answered(searched, state, lost)
+        return _searched(searched, sampled, lost * (state.on_failure != "bound"))
     constant = not design.variables and tables.sample.knows(column)
     if constant and sampled.value is not None:
         return exact(sampled.value)
@@ -72,24 +77,63 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     )
 
 
-def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
-    """The answer of a search, beside that of the plain sample: failures that the search did not aim
-    at are no more probable than a sample without them allows.  Where the sample by itself allows
-    for less than the search, it answers.
+def _of_answered(searched: Estimate, state: LimitState, lost: float) -> Estimate:
+    """The answer of a search where rows of the sample failed: a probability of the runs that
+    answered, as that of the sample is.
 
-    A search counts rows that failed as failures at its upper end, whatever the study asks for.
+    A search has what fails and answers, over all runs.  It draws where failures are, and does not
+    know how many rows fail elsewhere: their share, `lost` at most, is that of the sample.  Where
+    they count ("bound") the interval holds it.
+    """
+    least, most = searched.by_answered
+    in_search = (searched.high or 1.0) - (most or 1.0)
+    low = (least or 0.0) / lost_share(~state.broken)
+    high = min((most or 1.0) / (1.0 - lost), 1.0)
+    unseen = ((searched.high_unseen or 1.0) - in_search) / (1.0 - lost)
+    of_answered = replace(
+        searched,
+        value=searched.value and searched.value / (1.0 - state.broken.mean()),
+        low=low,
+        high=high,
+        low_unseen=searched.outer[0],
+        high_unseen=min(unseen, 1.0),
+        answered=(low, high),
+    )
+    if state.on_failure != "bound":
+        return of_answered
+    return replace(
+        of_answered,
+        low=searched.low,
+        high=min(high + lost, 1.0),
+        high_unseen=min(unseen + lost, 1.0),
+    )
+
+
+def _searched(searched: Estimate, sampled: Estimate, lost: float = 0.0) -> Estimate:
+    """The answer of a search, beside that of the plain sample: failures that the search did not aim
+    at are no more probable than a sample without them allows, nor those of `lost` rows that were
+    left out.  Where the sample by itself allows for less than the search, it answers.
     """
     missed = count_bound(sampled.evaluations)
     low, high = sampled.outer
     most = min((high or 1.0) + missed, 1.0)
+    least, largest = sampled.by_answered
+    largest = min((largest or 1.0) + missed, 1.0)
     if searched.value and (sampled.low or 0.0) > (searched.high or 1.0):
         # the sample has met failures that the search missed
         return sampled.holding(searched)
-    if not searched.value or 0.5 * most < searched.half_width:
+    if not searched.value or 0.5 * largest < searched.reducible:
         # such a search knows no more than the sample does
         if sampled.value:
             low = max((low or 0.0) - missed, 0.0)
-            return replace(sampled, low=low, high=most, low_unseen=None, high_unseen=None)
+            return replace(
+                sampled,
+                low=low,
+                high=most,
+                low_unseen=None,
+                high_unseen=None,
+                answered=(max((least or 0.0) - missed, 0.0), largest),
+            )
         high = min(searched.high or 1.0, sampled.high or 1.0)
         if not searched.value or searched.value >= high:
             reason = (
@@ -98,7 +142,7 @@ def _searched(searched: Estimate, sampled: Estimate) -> Estimate:
             searched = absent(reason, searched.method, searched.evaluations, below=high)
         return replace(searched, high=high, high_unseen=sampled.high_unseen)
     unseen = min((searched.high or 1.0) + missed, searched.high_unseen or 1.0)
-    return replace(searched, high_unseen=unseen)
+    return replace(searched, high_unseen=min(unseen + lost, 1.0))
 
 
 def failure_given_inputs(state: LimitState, limit: Limit) -> np.ndarray:

@@ -56,7 +56,7 @@ def rows_by_sampling(estimate: Estimate, accuracy: float) -> float:
     """
     if not estimate.value:
         return math.inf
-    return estimate.evaluations * (estimate.half_width / (accuracy * estimate.value)) ** 2
+    return estimate.evaluations * (estimate.reducible / (accuracy * estimate.value)) ** 2
 
 
 def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tables:
@@ -110,7 +110,7 @@ def _waiting(tables: Tables, rows_left: float) -> list[Limit]:
         estimate = failure(tables, limit)
         if is_negligible(estimate, limit):
             continue
-        if estimate.value and estimate.half_width <= required * estimate.value:
+        if estimate.value and estimate.reducible <= required * estimate.value:
             continue
         if limit.name in tables.rare:
             spent = tables.rare[limit.name].estimate.evaluations

@@ -377,9 +377,12 @@ class Slow(Tables):
             if sampled.high is None:
                 return sampled
             _, most = sampled.outer
+            low, high = sampled.by_answered
+            none = count_bound(self.rows.size)
             return replace(
                 sampled,
-                high=max(sampled.high, count_bound(self.rows.size)),
+                high=max(sampled.high, none),
+                answered=(low, max(high or 0.0, none)),
                 high_unseen=max(most or 0.0, count_bound(self.rows.size, self.dropped)),
             )
         place = predicted.quantities.index(column)

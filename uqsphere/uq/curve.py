@@ -191,10 +191,14 @@ def _value(
     carriers_there = max(carrying[about])
     worth = 1.0 + freedom(replicates, carriers_there)
     low, high, _ = probability_ends(target, 1.0 - target, error, worth, inf)
-    sides = [_crossing(places, mean, p, least) for mean in every for p in (low, high)]
+    # of the samples that answered, and of what those without an answer may have been
+    sides, *unanswered = (
+        [_crossing(places, mean, p, least) for p in (low, high)] for mean in every
+    )
     if ends is not None:
         first, last, *outer = (_crossing(places, end, target, least) for end in ends)
         sides = [centre, first, last]
+        unanswered = []
     # towards a value at which too few samples show it the curve is not known
     shown = np.minimum(pooled, 1.0 - pooled) * behind
     step = places[about]
@@ -204,6 +208,8 @@ def _value(
     if interpolation > 0.1 * np.ptp(step):
         # where there is a jump it is known to its step only
         sides += [*step]
+    answered = np.min(sides) - interpolation, np.max(sides) + interpolation
+    sides += [*np.ravel(unanswered)]
     low = np.min(sides) - interpolation  # nan where a side is
     high = np.max(sides) + interpolation
     if not math.isfinite(high - low):
@@ -213,8 +219,10 @@ def _value(
             METHOD,
             evaluations,
         )
-    value, low, high = map(backward, (centre, low, high))
+    value, low, high, first, last = map(backward, (centre, low, high, *answered))
     estimate = between(value, low, high, replicates, METHOD, evaluations)
+    if unanswered:
+        estimate = replace(estimate, answered=(first, last))
     if ends is None:
         return estimate
     if pooled[-1] >= pooled[0]:

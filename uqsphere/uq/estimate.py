@@ -46,6 +46,8 @@ class Estimate:
         infinite where nothing bounds them, None where these are `low` and `high`
     std_error : standard error
     evaluations : model runs that it rests on
+    answered : both ends by the rows that answered alone, where `low` and `high` also hold what
+        others may have been; None where they do not
     """
 
     value: float | None = None
@@ -57,6 +59,7 @@ class Estimate:
     reason: str | None = None
     low_unseen: float | None = None
     high_unseen: float | None = None
+    answered: tuple[float | None, float | None] | None = None
 
     def __post_init__(self) -> None:
         for name in ("value", "low", "high", "std_error"):
@@ -69,9 +72,19 @@ class Estimate:
     @property
     def half_width(self) -> float:
         """Half the length of the interval; inf where an end is absent."""
-        if self.low is None or self.high is None:
-            return inf
-        return 0.5 * (self.high - self.low)
+        return _half_width(self.low, self.high)
+
+    @property
+    def by_answered(self) -> tuple[float | None, float | None]:
+        """The interval by the rows that answered alone."""
+        return self.answered or (self.low, self.high)
+
+    @property
+    def reducible(self) -> float:
+        """The half-width that more runs lower: what rows without an answer may have been is no
+        matter of their number (G. W. Imbens, C. F. Manski, Econometrica 72, 2004, 1845).
+        """
+        return _half_width(*self.by_answered)
 
     @property
     def outer(self) -> tuple[float | None, float | None]:
@@ -91,8 +104,9 @@ class Estimate:
 
     def holding(self, other: "Estimate") -> "Estimate":
         """The same with an interval that holds both."""
-        ends = [end for end in (self.low, self.high, other.low, other.high) if end is not None]
-        return self.spanning(min(ends), max(ends))
+        low, high = _ends((self.low, self.high), (other.low, other.high))
+        answered = _ends(self.by_answered, other.by_answered)
+        return replace(self.spanning(low, high), answered=answered)
 
     def complement(self) -> "Estimate":
         """The probability of the opposite; what is not known is bounded the other way round."""
@@ -107,6 +121,7 @@ class Estimate:
             high=of(self.low),
             low_unseen=of(self.high_unseen),
             high_unseen=of(self.low_unseen),
+            answered=self.answered and (of(self.answered[1]), of(self.answered[0])),
             reason=self.reason and f"of the opposite: {self.reason}",
         )
 
@@ -123,6 +138,18 @@ class Estimate:
         if low is not None and low > target:
             return False
         return None
+
+
+def _half_width(low: float | None, high: float | None) -> float:
+    if low is None or high is None:
+        return inf
+    return 0.5 * (high - low)
+
+
+def _ends(*intervals: tuple[float | None, float | None]) -> Duo:
+    """The least and the largest of the ends that intervals have."""
+    ends = [end for interval in intervals for end in interval if end is not None]
+    return min(ends), max(ends)
 
 
 def exact(value: float) -> Estimate:
@@ -371,8 +398,12 @@ def quantile(
     half = student(replicates) * error
     low = reads[0](max(p - half, 0.0))
     high = reads[-1](min(p + half, 1.0))
-    value = 0.5 * reads[0](p) + 0.5 * reads[-1](p)
-    return between(value, low, high, replicates, method, evaluations)
+    least, most = reads[0](p), reads[-1](p)
+    value = 0.5 * least + 0.5 * most
+    estimate = between(value, low, high, replicates, method, evaluations)
+    if estimate.value is None or least == most:
+        return estimate
+    return replace(estimate, answered=(value - (least - low), value + (high - most)))
 
 
 def takes_few_values(ordered: Array) -> bool:

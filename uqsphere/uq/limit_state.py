@@ -101,7 +101,9 @@ class LimitState:
         value, low, high, error = _interval(event, other, kept, cell)
         method = self.method
         lost = broken & (self.on_failure == "bound")
+        answered = None
         if lost.any() or late.any():
+            answered = low, high
             # Censored demands may exceed any strength; failed rows may have gone either way.
             counts = kept + lost.sum(axis=1)
             unsure = late | lost
@@ -118,6 +120,7 @@ class LimitState:
         if largest > 0.2:
             method += f", one sample carries {100.0 * largest:.0f} %"
         estimate = bounded(value, low, high, error, method, broken.size)
+        estimate = replace(estimate, answered=answered)
         left_out = lost_share(broken & ~lost)
         if not left_out:
             return estimate

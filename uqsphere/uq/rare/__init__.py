@@ -250,7 +250,7 @@ def _defended(estimate: Estimate, warning: str, mass: Array) -> tuple[Estimate, 
         return estimate, warning
     low = float(special.gammaincinv(met, ENDS[0])) / size
     high = min(float(special.gammaincinv(met + 1.0, ENDS[1])) / size, 1.0)
-    shown = replace(estimate, value=met / size, low=low, high=high)
+    shown = replace(estimate, value=met / size, low=low, high=high, answered=None)
     warning = f"{met:.3g} of {size} plain samples fail, more than the search explains"
     return shown.holding(estimate), warning
 
@@ -283,13 +283,14 @@ def _sampled(evaluator: Evaluator) -> RareAnswer:
     p = float(rows.mean())
     unseen = count_bound(total)
     low, high, error = probability_ends(p, 1.0 - p, spread(rows, 1.0 / count), REPLICATES, total)
-    high = min(max(high, p + unseen) + float(np.isnan(mass).mean()), 1.0)
+    answered = low, max(high, p + unseen)
+    high = min(answered[1] + float(np.isnan(mass).mean()), 1.0)
     method = "randomised quasi-Monte Carlo"
     reason = f"no failure in {total} runs: it is below {high:.2g}"
     estimate = absent(reason, method, evaluator.count, below=high)
     if p > 0.0:
         estimate = bounded(p, low, high, error, method, evaluator.count)
         # one of few that failed says as little as none
-        estimate = replace(estimate, low_unseen=max(low - unseen, 0.0))
+        estimate = replace(estimate, low_unseen=max(low - unseen, 0.0), answered=answered)
     warning = f"from {total} runs: a failure region rarer than {unseen:.2g} may have been missed"
     return RareAnswer(estimate, warning)

@@ -318,7 +318,7 @@ def importance_sampling(
     answer = ImportanceAnswer(
         absent("the budget does not suffice for importance sampling", METHOD, 0)
     )
-    while answer.estimate.half_width > accuracy * (answer.estimate.value or 0.0):
+    while answer.estimate.reducible > accuracy * (answer.estimate.value or 0.0):
         more = min(max(done // 2, 1), evaluator.left // (REPLICATES * block))
         if more < 1:
             break
@@ -355,9 +355,10 @@ def weigh(evaluator: Evaluator, draws: Sequence[Draws]) -> ImportanceAnswer:
     if not evaluator.integrated:
         error = max(error, HARD * weights.std() / math.sqrt(weights.size))
     low, high, _ = probability_ends(value, 1.0 - value, error, REPLICATES, weights.size)
-    high = min(high + extra, 1.0)
     heaviest = weights.max() / weights.sum()
-    estimate = bounded(value, low, high, error, method, evaluator.count)
+    estimate = bounded(value, low, min(high + extra, 1.0), error, method, evaluator.count)
+    if extra:
+        estimate = replace(estimate, answered=(low, high))
     trusted = heaviest < 0.1 and hill(weights[weights > 0.0]) > 2.0
     return ImportanceAnswer(estimate, heaviest, trusted)
 
@@ -372,7 +373,7 @@ def nearby(
     before = reweighed.estimate
     if before.value is None or carriers(failures(evaluator, draws[:1])[1]) < CARRIERS:
         return None
-    if reweighed.trusted and before.half_width <= accuracy * before.value:
+    if reweighed.trusted and before.reducible <= accuracy * before.value:
         return reweighed
     refitted = fitted(draws[0].mixture, *failures(evaluator, draws))
     half = replace(evaluator, budget=0.5 * evaluator.left)
