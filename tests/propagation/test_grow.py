@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import uqsphere
 from uqsphere.models.model import Model
@@ -135,6 +136,53 @@ def test_a_target_is_met_once_the_sample_leaves_no_room_for_failures_unseen() ->
     assert check.grade == "note"
     assert check.text == "fails: failures that the search has not met are not in the interval"
     assert check.effect == "with them the failure probability is below 0.005 %"
+
+
+@pytest.mark.parametrize(("target", "verdict"), [(1e-5, "undecided"), (5e-4, "met")])
+def test_a_search_that_meets_no_failure_bounds_nothing(target: float, verdict: str) -> None:
+    """A step at 4.2 deviations, with nothing that leads there: chains went another way and had it
+    below 4e-14, so that a target below the truth of 1.3e-5 was met.
+    """
+    study = Study(
+        inputs={name: {"dist": "normal", "mean": 0.0, "sd": 1.0} for name in "ab"},
+        outputs="y",
+        limits={"fails": {"quantity": "y", "aim": "survive", "strength": 2.0, "target": target}},
+        analysis={"budget": {"evaluations": 30_000}},
+        seed=1,
+    )
+    run = uqsphere.run(study, lambda x: {"y": np.where(x["a"] > 4.2, 5.0, 0.1 * x["b"])})
+    failure = run.probability("fails")
+    truth = float(stats.norm.sf(4.2))
+    assert failure["low"] <= truth <= failure["high"]
+    (decision,) = run.results.decisions
+    assert decision.verdict == verdict
+
+
+def test_failures_far_below_the_target_let_the_sample_grow_until_it_shows_it() -> None:
+    """It was undecided, and accurate, since no digits of such a probability matter."""
+    run = uqsphere.run(plane(target=2e-4), lambda x: {"y": 6.0 - x["a"]})
+    (decision,) = run.results.decisions
+    assert decision.verdict == "met"
+    assert run.results.accuracy.stopped == "accurate"
+
+
+def test_a_small_probability_of_a_slow_model_is_not_accurate_unless_it_is() -> None:
+    """It was left to a search that slow models do not have, and the run called accurate."""
+    slow = {"cost": "10 s", "budget": {"evaluations": 64, "time": "1 h"}}
+    coarse = {"mean": 0.5, "quantile": 2.0, "sobol": 1.0, "probability": 0.05}
+    study = Study(
+        inputs={name: {"dist": "normal", "mean": 0.0, "sd": 1.0} for name in "ab"},
+        outputs="y",
+        limits={"fails": {"quantity": "y", "aim": "survive", "strength": 2.8}},
+        analysis={**slow, "accuracy": coarse, "quantiles": [0.5]},
+        seed=2,
+    )
+    run = uqsphere.run(study, lambda x: {"y": np.maximum(x["a"], x["b"])})
+    failure = run.probability("fails")
+    assert failure["high"] - failure["low"] > 0.2 * failure["value"]
+    assert run.results.accuracy.stopped == "budget"
+    [short] = run.results.accuracy.inaccurate
+    assert short.answer == "failure_probability"
 
 
 def estimate(value: float, low: float, high: float, runs: int) -> Estimate:

@@ -31,7 +31,7 @@ from .free_number import grid, shares_of, values_at
 from .limits import failure
 from .line import evaluated_at
 from .progress import Progress
-from .tables import Accuracy, Tables, check_failures, evaluate
+from .tables import Accuracy, Slow, Tables, check_failures, evaluate
 
 #: points of a replicate at first
 FIRST = 256
@@ -130,8 +130,11 @@ def grow(
 
 def _is_stuck(tables: Tables, before: Mapping[tuple[str, str], float], error: Accuracy) -> bool:
     """Whether more rows would not lower the error of an answer: two doublings have left it where
-    it had been before, or a search answers it.
+    it had been before, a search answers it, or the largest sample does not reach it.
     """
+    if error.answer == "unseen_failures":
+        most = min(REPLICATES * MOST, tables.design.analysis.budget.evaluations)
+        return count_bound(most) > error.required
     if error.answer == "failure_probability" and error.subject.partition(".")[2] in tables.rare:
         return True
     return error.reached > 0.95 * before.get(error[:2], math.inf)
@@ -312,16 +315,18 @@ def _accuracies(tables: Tables) -> Iterator[Accuracy]:
         estimate = failure(tables, limit)
         subject = f"limits.{limit.name}"
         searched = limit.name in tables.rare
+        unseen = count_bound(tables.sample.size)
+        room = limit.target - max((estimate.outer[1] or 1.0) - unseen, 0.0)
+        if limit.has_target and searched and room > 0.0:
+            # failures that the search did not aim at must not turn the verdict
+            yield Accuracy(subject, "unseen_failures", unseen, room)
         if rare.is_negligible(estimate, limit) or not estimate.value:
             continue
-        if not searched and rare.is_left_to_search(design, estimate):
+        waits = not searched and not isinstance(tables, Slow)
+        if waits and rare.is_left_to_search(design, estimate):
             continue
         error = estimate.reducible / estimate.value
         yield Accuracy(subject, "failure_probability", error, required.probability)
-        room = limit.target - (estimate.high or 1.0)
-        if limit.has_target and searched and room > 0.0:
-            # failures that the search did not aim at must not turn the verdict
-            yield Accuracy(subject, "unseen_failures", count_bound(tables.sample.size), room)
     for limit_name, (margin, width) in tables.margins.items():
         if margin.value is not None and width is not None:
             error = margin.reducible / width

@@ -134,8 +134,9 @@ def _searched(searched: Estimate, sampled: Estimate, lost: float = 0.0) -> Estim
                 high_unseen=None,
                 answered=(max((least or 0.0) - missed, 0.0), largest),
             )
-        high = min(searched.high or 1.0, sampled.high or 1.0)
+        high = sampled.high or 1.0
         if not searched.value or searched.value >= high:
+            # chains that met no failure bound nothing: they may have gone another way
             reason = (
                 f"no failure in {sampled.evaluations} samples; the probability is below {high:.2g}"
             )
