@@ -60,7 +60,7 @@ RANGES: Final[Ranges] = {
     "end3": (-1.0, 1.0, False),
 }
 #: ranges without the lightest spheres under the longest pulses, whose motions swing most often
-_SHORT: Final[Ranges] = {
+SHORT: Final[Ranges] = {
     "mu": (1e-4, 1e3, True),
     "theta": (0.1, 30.0, True),
     "ratio": (0.1, 10.0, True),
@@ -598,7 +598,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         plan = design(
             min(SLICE, scenes - begin),
             asked.seed + k,
-            narrower=_SHORT if asked.short or asked.balances else {},
+            narrower=SHORT if asked.short or asked.balances else {},
         )
         plan = with_law(plan, asked.seed + k) if asked.law != "hertz" else plan
         if asked.balances:

@@ -172,8 +172,8 @@ class Piece:
 
 @dataclass(kw_only=True)
 class Motion:
-    """A motion from first touch on: `end`, the face that let go first or None and when, the last
-    state.
+    """A motion from first touch on: `end`, the face that let go first or None and when, when faces
+    let go, the last state.
 
     state : x_A, x_B, u, U_A, U_B, integrals of zeta q² and of q at both faces, and of the work of
         incoming waves.
@@ -184,7 +184,7 @@ class Motion:
     end: float = 0.0
     lost: int | None = None
     first_loss: float = math.nan
-    losses: int = 0
+    losses: list[float] = field(default_factory=list)
     state: Array = field(default_factory=lambda: np.zeros(10))
     steps: int = 0
 
@@ -416,7 +416,7 @@ def march(
                 law = laws[k]
                 assert law is not None
                 if what == "lost":
-                    motion.losses += 1
+                    motion.losses.append(time)
                     if motion.lost is None:
                         motion.lost, motion.first_loss = k, time
                     if stop == "loss":
@@ -645,6 +645,12 @@ def refer(
     deepest = [motion.top(lambda rows, k=k: rows[k]) for k in (0, 1)]
     early = max(motion.top(lambda rows, k=k: rows[k], echo) for k in (0, 1))
     parts = [peak_of(x) for x in deepest]
+    # a difference counts up to the first loss of contact after the largest force
+    topmost = motion.crossing(larger, (1.0 - 1e-9) * top)
+    counted = min((at for at in motion.losses if at > topmost), default=math.inf)
+    if scene.whole_record:
+        counted = math.inf
+    apart = motion.top(lambda rows: np.abs(rows[2] - rows[3]), counted)
     rise = second * (motion.crossing(larger, 0.9 * top) - motion.crossing(larger, 0.1 * top))
     energy = force * unit * motion.top(lambda rows: rows[4])
     values = {
@@ -657,7 +663,7 @@ def refer(
         "rise_time": rise,
         "loading_rate": 0.8 * force * top / rise,
         "first_peak": peak_of(early)["centre"],
-        "force_imbalance": motion.top(lambda rows: np.abs(rows[2] - rows[3])) / top,
+        "force_imbalance": apart / top,
         "energy": energy,
         "specific_energy": energy / mass,
         "a_max": math.sqrt(radius * unit * max(part["area"] for part in parts)),

@@ -11,7 +11,7 @@ import pytest
 from scenes import example as scene_with
 from scenes import scaled_scene
 
-from tests.campaigns.sweep import _SHORT, design, with_law
+from tests.campaigns.sweep import SHORT, design, with_law
 from uqsphere.bench import scattered_scene
 from uqsphere.mechanics.integrator import solve as integrator
 from uqsphere.mechanics.integrator.solve import solve
@@ -43,7 +43,7 @@ def test_scales_that_overflow_have_a_status_and_no_number(name: str, value: floa
 def test_errors_that_a_contact_found_again_throws_on_are_looked_at() -> None:
     # the largest force comes behind three losses of contact: an error of a step is then a thousand
     # times what it was, and one look is off by 7 tolerances after no more than 536 steps
-    (scene,) = with_law(design(110, 42, narrower=_SHORT), 42)[8:9]
+    (scene,) = with_law(design(110, 42, narrower=SHORT), 42)[8:9]
     scene = replace(scene, columns={name: one[6:7] for name, one in scene.columns.items()})
     asked = ("force_imbalance",)
     found, closer = (solve(scene, tolerance=each, quantities=asked) for each in (1e-6, 1e-9))

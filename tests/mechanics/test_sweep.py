@@ -129,7 +129,7 @@ def test_errors_of_many_steps_to_one_side_do_not_add_up() -> None:
     """(C15) of 6,368 steps, nearly all at rest: with the same error allowed in each of them it
     lacked 18.
     """
-    scene = with_law(design(110, 25, narrower=sweep._SHORT), 25)[11]
+    scene = with_law(design(110, 25, narrower=sweep.SHORT), 25)[11]
     assert unbalanced(scene, 5, 1e-6) < 10.0 * 1e-6
 
 
@@ -137,7 +137,7 @@ def test_the_largest_difference_of_forces_is_found_where_one_of_them_ends() -> N
     """The series of a force that falls to zero errs there: the place of the largest difference was
     missed by 11.
     """
-    plan = with_law(design(110, 78, narrower=sweep._SHORT), 78)
+    plan = with_law(design(110, 78, narrower=sweep.SHORT), 78)
     scene = next(
         scene for scene in plan if np.isclose(scene.scales.mass_number, 4.8793376446694).any()
     )

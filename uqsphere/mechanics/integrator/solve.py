@@ -523,7 +523,8 @@ _CLOSER, _FINEST = 1e-2, 1e-13
 #: tolerances by which an error of the approach may move the first loss of contact; where its time
 #: is asked for, a first look leaves a third of one
 _FIRM, _FIRST_LOOK = 10.0, 30.0
-#: share of its speed by which two looks at a motion differ at its end where they have parted
+#: share of the sphere's speed by which two looks differ where their motions have parted: far above
+#: any tolerance, far below another blow; what it decides is one look more
 _ASTRAY = 1e-2
 #: answers of risky rows that are compared at two tolerances; not a number where not wanted
 _COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
@@ -579,13 +580,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
             # one that has no room for so many steps keeps the answers that it has
             done = look["status"] == tracked.OK
             closest[picked] = np.where(done, closer, _FINEST)
-            before = tracked.answer_columns(answers[picked])
-            columns = tracked.answer_columns(look)
-            with np.errstate(divide="ignore", invalid="ignore"):  # both are zero, or not wanted
-                differs = {
-                    name: np.abs(columns[name] / before[name] - 1.0) / tolerance
-                    for name in compared
-                }
+            differs = _changes(answers[picked], look, compared, tolerance)
             largest = np.fmax.reduce([np.zeros(len(picked)), *differs.values()])
             # a record that goes on to its horizon may have missed a blow where it is not known how
             # the sphere moves at the end
@@ -598,3 +593,12 @@ def look_closer(rows: Rows, task: Task) -> Any:
             answers[picked[done]] = look[done]
     answers["doubt"] = np.where(moving, 2.0, doubt | counted)
     return answers
+
+
+def _changes(before: Any, after: Any, names: Collection[str], tolerance: float) -> dict[str, Array]:
+    """Tolerances by which answers of two looks differ, by name; not a number where both are zero
+    or not wanted.
+    """
+    earlier, later = map(tracked.answer_columns, (before, after))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {name: np.abs(later[name] / earlier[name] - 1.0) / tolerance for name in names}
