@@ -32,6 +32,7 @@ import uqsphere
 from tests.campaigns import chaos, options, table, tell
 from uqsphere import Study
 from uqsphere.arrays import Array
+from uqsphere.errors import TooManyFailures
 
 TRUTHS: Final = Path(__file__).with_name("zoo.json")
 #: replicates of a truth, their rows, and the base points of their indices
@@ -702,8 +703,12 @@ def cell(model: ZooModel, truths: Mapping[str, Truth], size: int, seed: int) -> 
     study = model.study(seed, limits=limits, analysis=analysis)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        run = uqsphere.run(study, lambda x: {"y": model.function(x)})
-    rows = {(row.subject, row.answer.value, row.at): row for row in run.results.answers}
+        try:
+            answers = uqsphere.run(study, lambda x: {"y": model.function(x)}).results.answers
+        except TooManyFailures as refused:
+            tell(f"  {model.name}, {size} runs, seed {seed}: {refused}")
+            answers = []
+    rows = {(row.subject, row.answer.value, row.at): row for row in answers}
     hits = []
 
     def hold(kind: str, place: tuple[str, str, Any], truth: Truth, scale: float) -> None:
