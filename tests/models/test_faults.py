@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import uqsphere as uq
 from uqsphere.errors import AccessError, ExecutorLost, ModelError, UsageError
 from uqsphere.models import dispatch
 from uqsphere.models import model as module
@@ -221,6 +222,18 @@ def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str) -> None
         pytest.raises(ModelError, match=text),
     ):
         evaluated(model)
+
+
+def test_a_file_that_hangs_while_it_is_loaded_ends_the_run(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit of a run is too short for what is imported, so that loading has at least a
+    minute.
+    """
+    monkeypatch.setattr("uqsphere.models.workers._LOADING", 0.5)
+    (place / "box.py").write_text("import time\ntime.sleep(99)\ndef f(x): return x\n")
+    with pytest.raises(ModelError, match=r"not loaded after 0\.5 s \(analysis\.time_limit"):
+        uq.run(study("time_limit = '0.2 s'"), f"{place / 'box.py'}:f")
 
 
 def test_what_a_model_has_started_ends_with_it(place: Path) -> None:

@@ -6,6 +6,7 @@ import sys
 import tracemalloc
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,13 +118,22 @@ def test_a_probability_that_is_asked_for_by_name_comes_before_indices(
         assert run.results.accuracy.runs <= 30_000
 
 
-def plane(**keys: object) -> Study:
+def plane(analysis: Mapping[str, object] | None = None, **keys: object) -> Study:
     return Study(
         inputs={name: {"dist": "normal", "mean": 0.0, "sd": 1.0} for name in "ab"},
         outputs="y",
         limits={"fails": {"quantity": "y", "aim": "break", "strength": 0.0, **keys}},
+        analysis=analysis or {},
         seed=2,
     )
+
+
+def test_the_page_names_the_limit_whose_accuracy_is_missed(tmp_path: Path) -> None:
+    analysis = {"budget": {"evaluations": 1024}, "accuracy": {"probability": 1e-6}}
+    study = plane(analysis, strength=0.5)
+    uqsphere.run(study, lambda x: {"y": x["a"] + x["b"]}, out=tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "Accuracy target missed: fails, failure probability: half-width" in page
 
 
 def test_a_target_is_met_once_the_sample_leaves_no_room_for_failures_unseen() -> None:
@@ -134,6 +144,7 @@ def test_a_target_is_met_once_the_sample_leaves_no_room_for_failures_unseen() ->
     assert run.results.accuracy.stopped == "accurate"
     [check] = run.results.checks
     assert check.grade == "note"
+    assert check.name == "search_fails"
     assert check.text == "fails: failures that the search has not met are not in the interval"
     assert check.effect == "with them the failure probability is below 0.005 %"
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
@@ -34,6 +35,8 @@ Task = tuple[Any, Names, Names]
 Timed = tuple[Array, float]
 #: calls that an executor of the user is given at once, about
 _MANY = 512
+#: seconds that a limit leaves to the loading of a model at least, which imports and compiles
+_LOADING = 60.0
 
 
 def answer(task: Task | bytes, rows: Array) -> Timed:
@@ -177,7 +180,7 @@ def _send(message: object, stream: Any) -> None:
 class _Process:
     """A process of this machine that calls the model; it ends with everything it has started."""
 
-    _started = _late = False
+    _started = _loaded = _late = False
 
     def __init__(self, packed: bytes) -> None:
         self.packed = packed
@@ -195,26 +198,35 @@ class _Process:
         )
 
     def call(self, rows: Array, limit: float | None) -> Timed:
-        """Answers to rows, within a limit [s]; raises as `result`."""
-        timer = threading.Timer(limit or 0.0, self._expire)
-        timer.daemon = True
+        """Answers to rows, within a limit [s]; raises as `result`, and ModelError where loading the
+        model takes longer, and longer than a minute.
+        """
         requests, replies = self._process.stdin, self._process.stdout
+        loading = None
+        if limit:
+            loading = max(limit, _LOADING)
         try:
             if not self._started:
                 pickle.load(replies)
                 self._started = True
-                _send(self.packed, requests)
-                pickle.load(replies)  # the model is loaded, which its limit does not count
-            if limit:
-                timer.start()
-            _send(rows, requests)
-            reply: Timed = pickle.load(replies)
+                with self._ended_after(loading):
+                    _send(self.packed, requests)
+                    pickle.load(replies)
+                self._loaded = True
+            with self._ended_after(limit):
+                _send(rows, requests)
+                reply: Timed = pickle.load(replies)
         except Exception as error:  # the end of a stream, or garbage in it
             self.close()
             if not self._started:
                 raise UsageError(
                     "the Python process of the model ended before the model was called (exit code "
                     f"{self._process.returncode})"
+                ) from error
+            if self._late and not self._loaded:
+                raise ModelError(
+                    f"the model is not loaded after {loading:g} s (analysis.time_limit, at least "
+                    f"{_LOADING:g} s): what does it compute or wait for outside its function?"
                 ) from error
             if self._late:
                 raise NoAnswer(
@@ -223,11 +235,21 @@ class _Process:
             raise Died(
                 f"the model ended the process it ran in (exit code {self._process.returncode})"
             ) from error
-        finally:
-            timer.cancel()
         if isinstance(reply, BaseException):
             raise reply
         return reply
+
+    @contextlib.contextmanager
+    def _ended_after(self, limit: float | None) -> Iterator[None]:
+        """The process, which is ended if what is done takes longer than a limit [s]."""
+        timer = threading.Timer(limit or 0.0, self._expire)
+        timer.daemon = True
+        if limit:
+            timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
 
     def _expire(self) -> None:
         self._late = True

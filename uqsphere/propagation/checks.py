@@ -198,7 +198,7 @@ def _searches(tables: Tables) -> Iterator[Check]:
                 bound = format_probability(None, estimate.outer[1])
                 effect = f"with them the failure probability is {bound}"
             yield Check(
-                name="search",
+                name=f"search_{limit.name}",
                 grade=grade,
                 text=f"{limit.name}: failures that the search has not met are not in the interval",
                 effect=effect,

@@ -141,9 +141,13 @@ def meaning(name: str) -> str:
 
     >>> meaning("limits.crushing.strength"), meaning("contact_duration")
     ('strength (crushing)', 'equivalent contact duration')
+    >>> meaning("limits.crushing")
+    'crushing'
     """
     if name.startswith("limits."):
         limit, _, part = name.removeprefix("limits.").rpartition(".")
+        if not limit:
+            return part
         return f"{part.replace('_', ' ')} ({limit.removesuffix(' (assumed)')})"
     return lookup(name).called
 
