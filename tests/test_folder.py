@@ -93,6 +93,28 @@ def test_what_history_wrote_stays_beside_a_run(folder: Path) -> None:
     assert damaged_files(folder) == []
 
 
+def test_history_and_labs_write_into_no_folder_of_another_study(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = Path(__file__).parents[1]
+    folder = tmp_path / "run"
+    shutil.copytree(root / "reports" / "granite", folder)
+    before = content(folder)
+    assert (
+        main(["history", str(root / "studies" / "quartz_load_cell.toml"), "--out", str(folder)])
+        == 5
+    )
+    told = capsys.readouterr()
+    assert "one impact" in told.out
+    assert "holds another study (changed: " in told.err
+    fit = str(root / "studies" / "lab_limestone_feed.toml")
+    assert main(["comminution", "fit", fit, "--out", str(folder)]) == 5
+    told = capsys.readouterr()
+    assert "breaks half" in told.out
+    assert "holds a run: choose another folder with --out" in told.err
+    assert content(folder) == before
+
+
 def test_every_change_of_a_folder_is_found(folder: Path) -> None:
     names = [name for name in content(folder) if name not in UNLISTED]
     assert len(names) > 6

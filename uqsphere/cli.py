@@ -4,6 +4,7 @@ to stderr.
 
 import contextlib
 import gc
+import io
 import json
 import os
 import signal
@@ -53,9 +54,10 @@ def program() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # closed: no file of ours may take its place
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
-    with contextlib.suppress(AttributeError, OSError, ValueError):
+    with contextlib.suppress(OSError, ValueError):
         for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")
     gc.set_threshold(1_000_000)  # imports make objects that stay: few are worth a search for cycles
     if not sys.warnoptions:  # NumPy's are for developers; ours are printed
         warnings.simplefilter("ignore")
@@ -512,6 +514,7 @@ def _history(options: Namespace) -> None:
     uqsphere history rock.toml
     uqsphere history rock.toml --out rock-history
     """
+    from uqsphere.propagation import check_owner
     from uqsphere.report.history import history, history_rows, write_history
     from uqsphere.results.folder import locked
 
@@ -523,6 +526,7 @@ def _history(options: Namespace) -> None:
     print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
     if options.out:
         with locked(options.out):
+            check_owner(options.out, study, fresh=False)
             for name in write_history(course, options.out):
                 print(f"wrote {options.out / name}")
 

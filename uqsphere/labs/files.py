@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import Fault, TomlTable, unknown
+from uqsphere.errors import FolderError
 from uqsphere.materials import materials_of
 from uqsphere.units import parse_value
 
@@ -87,10 +88,12 @@ def run_command(lab: str, *argv: str) -> int:
 
 def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str, str]) -> None:
     """Write the files of a command to `--out`, and print its answer without control characters."""
-    from uqsphere.results.folder import write_files
+    from uqsphere.results.folder import RESULTS, write_files
 
     written = []
     try:
+        if chosen.out and (chosen.out / RESULTS).exists():
+            raise FolderError(f"{chosen.out} holds a run: choose another folder with --out")
         if chosen.out:
             write_files(chosen.out, files)
             written = [str(chosen.out / name) for name in files]

@@ -84,7 +84,7 @@ def identity_of(box: ModelFile | BlackBox) -> bytes:
     """
     if isinstance(box, ModelFile):
         return box.name.encode() + b"\0" + box.source
-    import cloudpickle  # type: ignore[import-untyped]
+    import cloudpickle
 
     file = getattr(sys.modules.get(str(getattr(box, "__module__", ""))), "__file__", None)
     with contextlib.suppress(Exception):  # pickling can raise anything

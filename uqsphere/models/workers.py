@@ -76,10 +76,10 @@ def pack(task: Task) -> bytes:
 
     Raises UsageError where what it holds cannot be sent.
     """
-    import cloudpickle  # type: ignore[import-untyped]
+    import cloudpickle
 
     try:
-        return cloudpickle.dumps(task)  # type: ignore[no-any-return]
+        return bytes(cloudpickle.dumps(task))
     except Exception as error:  # pickling can raise anything
         raise UsageError(
             f"the model cannot be sent to another process ({type(error).__name__}: "

@@ -224,5 +224,5 @@ def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
             changed = f" (changed: {names})"
     raise FolderError(
         f"{folder} holds another study{changed}: choose another folder with --out, or replace it "
-        "with --fresh"
+        "with `uqsphere run --fresh`"
     )

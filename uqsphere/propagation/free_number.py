@@ -38,7 +38,8 @@ def shares_of(margins: Margins, values: Values) -> Values:
 
 def grid(margins: Margins, count: int = VALUES) -> list[float]:
     """`count` values from one end to the other."""
-    return values_at(margins, np.linspace(0.0, 1.0, count)).tolist()  # type: ignore[no-any-return]
+    values: list[float] = values_at(margins, np.linspace(0.0, 1.0, count)).tolist()
+    return values
 
 
 def moved(study: Study, value: float) -> Study:

@@ -385,8 +385,9 @@ def samples_of(tables: Tables) -> dict[str, Cells]:
 
 def cells_of(column: Cells) -> list[Any]:
     """A column as cells of a table: a number that is not known is left empty."""
-    cells = np.where(np.isnan(column), None, column)  # type: ignore[call-overload]
-    return cells.tolist()  # type: ignore[no-any-return]
+    cells = column.astype(object)
+    cells[np.isnan(column)] = None
+    return [*cells]
 
 
 def write_run(folder: Path, study: Study, results: Results, samples: dict[str, Cells]) -> None:

@@ -15,6 +15,7 @@ from .format import ends_of, meaning, with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 #: colours that people with any colour vision tell apart (Okabe and Ito 2008), darkened to a
 #: contrast of 4.5 on white
@@ -57,20 +58,20 @@ def apart(places: Sequence[float] | Array, widths: Sequence[float]) -> Array:
     return isotonic_regression(np.array(places) - offsets).x + offsets
 
 
-def plain_logarithms(axis: object, ratio: float) -> None:
+def plain_logarithms(axis: Axis, ratio: float) -> None:
     """Plain ticks of a logarithmic axis over a ratio: powers of ten, 2 and 5 times these where
     there is room.
     """
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+    from matplotlib.ticker import Locator, LogLocator, MaxNLocator, NullLocator
 
-    locator: object = LogLocator(subs=(1.0, 2.0, 5.0))
+    locator: Locator = LogLocator(subs=(1.0, 2.0, 5.0))
     if ratio >= 2e3:
         locator = LogLocator()
     elif ratio < 5.0:
         locator = MaxNLocator(4)
-    axis.set_major_locator(locator)  # type: ignore[attr-defined]
-    axis.set_major_formatter("{x:,g}")  # type: ignore[attr-defined]
-    axis.set_minor_locator(NullLocator())  # type: ignore[attr-defined]
+    axis.set_major_locator(locator)
+    axis.set_major_formatter("{x:,g}")
+    axis.set_minor_locator(NullLocator())
 
 
 # --- densities ------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """The input file of the lab: material, tests of particles, feed, product."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -20,7 +20,8 @@ from uqsphere.labs.files import (
 
 #: rigs that record the energy at failure; those, and rigs that record the energy offered
 AT_FAILURE = ("platens", "load_cell", "bars")
-RIGS = (*AT_FAILURE, "drop_weight", "impact", "drop")
+Rig = Literal["platens", "load_cell", "bars", "drop_weight", "impact", "drop"]
+RIGS = get_args(Rig)
 #: parameters of the laws
 Parameter = Literal["e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"]
 
@@ -71,7 +72,7 @@ class TestsTable(Section):
     """
 
     file: str
-    rig: Literal[*RIGS] = "load_cell"  # type: ignore[valid-type]
+    rig: Rig = "load_cell"
     rig_column: str = ""
     where: dict[str, str | int | float] = Field(default_factory=dict)
     diameter: str = ""
