@@ -223,7 +223,7 @@ def _lines(lines: Sequence[int] | Places) -> str:
 class Table:
     """The cells of a file as texts: rows of data with the numbers of their lines, notes for the
     user, lines that follow an empty one (`apart`), and the units [SI] of the columns that were
-    read, by the keys that name them.
+    read, by the keys that name them; `unit_keys` are the keys that give their units.
     """
 
     name: str
@@ -233,6 +233,7 @@ class Table:
     notes: list[str]
     decimal: str
     apart: set[int] = field(default_factory=set)
+    unit_keys: Mapping[str, str] = field(default_factory=_UNIT_KEYS.copy)
     units: dict[str, float] = field(default_factory=dict)
     faults: dict[tuple[str, str], dict[int, None]] = field(default_factory=dict)
 
@@ -328,7 +329,7 @@ class Table:
             return 1.0
         units = UNITS[dimension]
         allowed = typed_units(dimension)
-        unit_key = _UNIT_KEYS.get(key, "units")
+        unit_key = self.unit_keys.get(key, "units")
         in_heading = unit_in_heading(heading, dimension)[1]
         bracket = _BRACKET.search(heading)
         other = bracket and bracket[1] in _ALL_UNITS - {"", "-"}
@@ -337,7 +338,7 @@ class Table:
             if wrong:
                 raise TableError(f"{heading!r}: {wrong} ({allowed})", key)
             more = ""
-            if key in _UNIT_KEYS:
+            if key in self.unit_keys:
                 more = f', or add {unit_key} = "{next(iter(units))}"'
             raise TableError(
                 f"the unit of the column {heading!r} is missing. Write it in the heading, "

@@ -2,16 +2,18 @@
 
 import json
 from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from uqsphere.documents import Fault, TomlTable, unknown
+from uqsphere.documents import Fault, TomlTable, read_text, refusal, unknown
 from uqsphere.errors import FolderError
 from uqsphere.materials import materials_of
+from uqsphere.tables import TableError
 from uqsphere.units import parse_value
 
 
@@ -49,6 +51,18 @@ def from_library(raw: Any, *kinds: str) -> Any:
     properties = materials[raw["material"]].properties
     known = {key: properties[key].text for key in ("E", "nu", "density") if key in properties}
     return known | raw
+
+
+@contextmanager
+def named_by(file: Path, *at: str) -> Iterator[None]:
+    """What is wrong with a table of numbers stands at the key of the input file that names it, or
+    its column: a StudyError.
+    """
+    try:
+        yield
+    except TableError as error:
+        fault = Fault(str(error), *at, error.key or "file")
+        raise refusal(file, read_text(file), [fault]) from None
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from uqsphere.documents import load_document
 from uqsphere.errors import tell
-from uqsphere.labs.files import JsonObject, csv_text, finish, table
+from uqsphere.labs.files import JsonObject, csv_text, finish, named_by, table
 from uqsphere.uq import LEVEL_TEXT
 
 from .document import ComminutionDocument
@@ -20,7 +20,9 @@ def _run(chosen: Namespace) -> None:
 
     asked = load_document(chosen.file, ComminutionDocument)
     folder = chosen.file.parent
-    posterior, fitted = fit(load_tests(asked, folder), asked)
+    with named_by(chosen.file, "tests"):
+        tests = load_tests(asked, folder)
+    posterior, fitted = fit(tests, asked)
     low, high = posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
     content = {**fitted, "strength_at": at}
@@ -39,7 +41,8 @@ def _run(chosen: Namespace) -> None:
             f"{high * 1e3:.4g} mm): draws.csv is {extrapolation}. Test this size"
         )
     if chosen.command == "feed":
-        answer = answer_feed(posterior, asked, folder)
+        with named_by(chosen.file, "feed", "sizes"):
+            answer = answer_feed(posterior, asked, folder)
         content = {"fit": content, "feed": answer}
         text = _feed_text(answer)
         warnings += answer["warnings"]

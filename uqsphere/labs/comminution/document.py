@@ -22,6 +22,8 @@ from uqsphere.labs.files import (
 AT_FAILURE = ("platens", "load_cell", "bars")
 Rig = Literal["platens", "load_cell", "bars", "drop_weight", "impact", "drop"]
 RIGS = get_args(Rig)
+#: keys of columns that have an energy, or give it
+MEASURED = ("specific_energy", "energy", "speed", "force")
 #: parameters of the laws
 Parameter = Literal["e_inf", "C", "d0", "phi", "sigma", "modulus", "gamma"]
 
@@ -106,7 +108,7 @@ class TestsTable(Section):
     @property
     def measured(self) -> str:
         """The key that names a column of energies; ValueError for none or several."""
-        return _one_of(self, "specific_energy", "energy", "speed", "force")
+        return _one_of(self, *MEASURED)
 
     @model_validator(mode="after")
     def _one_of_each(self) -> "TestsTable":

@@ -50,7 +50,7 @@ def particle_energies(
     else:
         raise UsageError("material.density is required, or a column tests.mass")
     name = want.measured
-    energy = table.numbers(getattr(want, name), name, want.unit, key="energy")
+    energy = table.numbers(getattr(want, name), name, want.unit, key=name)
     meaning = {"force": "contact", "speed": "input"}.get(name, want.energy_is)
     if name == "energy":
         energy = energy / mass
@@ -71,7 +71,7 @@ def particle_energies(
                 "often 2 to 3 times larger"
             )
         energy = laws.energy_of_force(energy, diameter, modulus, mass)
-    table.refuse("", "the energy must be above 0", energy <= 0.0)
+    table.refuse(name, "the energy must be above 0", energy <= 0.0)
     table.check()
     if meaning == "sphere":
         return energy, notes

@@ -5,6 +5,7 @@ uncertainty of the tests (the draws) and the scatter of a lot are separate.
 """
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 from uqsphere.arrays import Array, Function, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import JsonObject
-from uqsphere.tables import read_table
+from uqsphere.tables import TableError, read_table
 
 from . import laws
 from .document import ComminutionDocument, Lognormal, SizesTable
@@ -84,10 +85,10 @@ def _law(asked: SizesTable, size: Array) -> Array:
 
 def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function, float]:
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
-    table = read_table(folder / asked.file)
+    table = replace(read_table(folder / asked.file), unit_keys={"sieve": "sieve_unit"})
     column = asked.passing
-    sieve = table.numbers(asked.sieve, "length", asked.sieve_unit)
-    share = table.numbers(column)
+    sieve = table.numbers(asked.sieve, "length", asked.sieve_unit, key="sieve")
+    share = table.numbers(column, key="passing")
     table.finish()
     order = np.argsort(sieve)
     sieve = sieve[order]
@@ -101,13 +102,14 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function
         if not percent:
             notes.append(f"{table.name}: passing reaches {largest:.4g}, percent are taken")
     elif percent:
-        raise UsageError(
+        raise TableError(
             f"{table.name}: column {column!r} is headed as percent and reaches {largest:.4g}. If "
-            "these are shares, remove percent from the heading"
+            "these are shares, remove percent from the heading",
+            "passing",
         )
     rising = (np.diff(sieve, prepend=0.0) > 0.0) & (np.diff(share, prepend=0.0) >= 0.0)
     if not rising.all() or not 0.0 < share[-1] <= 1.0001:
-        raise UsageError(
+        raise TableError(
             f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
             "up to 100 %"
         )
@@ -121,7 +123,7 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function
                 f"{left:.3g} of the mass is between the coarsest sieve and top: it is interpolated"
             )
     elif left > _CUT:
-        raise UsageError(
+        raise TableError(
             f"{table.name}: the coarsest sieve passes {share[-1]:.1%}: {left:.1%} of the feed has "
             "no size; add top, the size that all passes"
         )

@@ -3,7 +3,7 @@ lies."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,16 +11,23 @@ from uqsphere.arrays import Array, Flags, Names, Values
 from uqsphere.documents import WORDS
 from uqsphere.errors import UsageError
 from uqsphere.quantities import lookup
-from uqsphere.tables import Table, read_table
+from uqsphere.tables import Table, TableError, read_table
 
 from . import laws
-from .document import AT_FAILURE, RIGS, ComminutionDocument
+from .document import AT_FAILURE, MEASURED, RIGS, ComminutionDocument
 from .energies import particle_energies
 
 _BROKE = WORDS["outcomes"]
 #: relative difference within which two sizes in order are the same
 _SAME = 0.005
 _MOST_BLOWS = 10_000
+#: keys that give the units of columns
+_UNIT_KEYS = {
+    **dict.fromkeys(("diameter", "mesh_lower", "mesh_upper"), "diameter_unit"),
+    **dict.fromkeys(MEASURED, "unit"),
+    "mass": "mass_unit",
+    "stiffness": "stiffness_unit",
+}
 
 
 class Specimens(NamedTuple):
@@ -82,36 +89,41 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     import pandas as pd
 
     want = asked.tests
-    table = read_table(folder / want.file)
+    table = replace(read_table(folder / want.file), unit_keys=_UNIT_KEYS)
     for column, value in want.where.items():
-        cells = table.texts(column) if isinstance(value, str) else table.numbers(column)
+        if isinstance(value, str):
+            cells: Any = table.texts(column, "where")
+        else:
+            cells = table.numbers(column, key="where")
         kept = [row for row, cell in enumerate(cells) if cell == value]
         table = replace(table, rows=[table.rows[row] for row in kept], lines=table.lines[kept])
     count = len(table)
     if not count:
-        raise UsageError(f"{table.name}: tests.where selects no row")
+        raise TableError(f"{table.name}: tests.where selects no row", "where")
     # a column, or the geometric mean of two sieves
-    sieves = [want.diameter] if want.diameter else [want.mesh_lower, want.mesh_upper]
-    ends = [table.numbers(name, "length", want.diameter_unit, key="diameter") for name in sieves]
+    sieves = ("diameter",) if want.diameter else ("mesh_lower", "mesh_upper")
+    ends = [
+        table.numbers(getattr(want, key), "length", want.diameter_unit, key=key) for key in sieves
+    ]
     diameter = np.sqrt(ends[0] * ends[-1])
     particles = blows = np.ones(count)
     if want.particles:
-        particles = table.numbers(want.particles)
+        particles = table.numbers(want.particles, key="particles")
     if want.blows:
-        blows = table.numbers(want.blows)
+        blows = table.numbers(want.blows, key="blows")
     if want.broken:
-        broken = table.numbers(want.broken)
+        broken = table.numbers(want.broken, key="broken")
     else:
         allowed = f"one of {', '.join(_BROKE)}"
         broken = table.flags(want.outcome, "outcome", allowed, _BROKE) * particles
     rig = np.full(count, want.rig)
     if want.rig_column:
-        rig = np.array(table.texts(want.rig_column))
+        rig = np.array(table.texts(want.rig_column, "rig_column"))
     at_failure = np.isin(rig, AT_FAILURE)
     # rows of one name are the series of blows on one particle
     specimen = pd.Series(range(count))
     if want.specimen:
-        specimen = pd.Series(pd.factorize(np.array(table.texts(want.specimen)))[0])
+        specimen = pd.Series(pd.factorize(np.array(table.texts(want.specimen, "specimen")))[0])
     for message, wrong in {
         f"rig must be one of {', '.join(RIGS)}": ~np.isin(rig, RIGS),
         "the size must be above 0": np.min(ends, axis=0) <= 0.0,

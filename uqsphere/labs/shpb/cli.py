@@ -7,7 +7,7 @@ from pathlib import Path
 
 from uqsphere.documents import load_document
 from uqsphere.errors import UsageError, as_text, tell
-from uqsphere.labs.files import JsonObject, csv_text, finish, table
+from uqsphere.labs.files import JsonObject, csv_text, finish, named_by, table
 
 from .document import RecordDocument
 
@@ -23,7 +23,7 @@ def _records(chosen: Namespace) -> int:
     several = len(chosen.file) > 1
     stems = [path.stem for path in chosen.file]
     home = os.path.commonpath([path.resolve().parent for path in chosen.file])
-    records = dict[Path, str]()
+    sources = dict[Path, str]()
     lines = []
     texts = []
     files = dict[str, str]()
@@ -34,7 +34,9 @@ def _records(chosen: Namespace) -> int:
             name = path.resolve().relative_to(home).as_posix()
         asked = load_document(path, RecordDocument)
         try:
-            test = read_test(load_record(asked, path.parent))
+            with named_by(path, "record"):
+                record = load_record(asked, path.parent)
+            test = read_test(record)
         except UsageError as error:
             if not several:
                 raise
@@ -42,10 +44,10 @@ def _records(chosen: Namespace) -> int:
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
             continue
-        record = (path.parent / asked.record.file).resolve()
-        if record in records:
-            tell(f"{path.name}: the record of {records[record]}: one test, two lines of tests.csv")
-        records[record] = path.name
+        source = (path.parent / asked.record.file).resolve()
+        if source in sources:
+            tell(f"{path.name}: the record of {sources[source]}: one test, two lines of tests.csv")
+        sources[source] = path.name
         if not chosen.json:
             for change in test.changes:
                 tell(f"{path.name}: {change.step}: {change.text}")
@@ -72,7 +74,9 @@ def _records(chosen: Namespace) -> int:
 def _fit_contact(chosen: Namespace) -> None:
     from .contact import ContactDocument, fit_contact
 
-    fit = fit_contact(load_document(chosen.file, ContactDocument), chosen.file.parent)
+    asked = load_document(chosen.file, ContactDocument)
+    with named_by(chosen.file):
+        fit = fit_contact(asked, chosen.file.parent)
     for note in fit.notes:
         tell(f"note: {note}")
     lines = fit.lines()

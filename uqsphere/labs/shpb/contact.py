@@ -6,7 +6,7 @@ first touch follow by least squares of the displacement.
 """
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -140,6 +140,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
         compression or unloading, or of too few samples.
     """
     table, _ = read_recorded(folder / asked.file)
+    table = replace(table, unit_keys={key: f"{key}_unit" for key in ("displacement", "force")})
     displacement = table.numbers(
         asked.displacement, "length", asked.displacement_unit, key="displacement"
     )

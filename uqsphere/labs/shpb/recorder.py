@@ -305,7 +305,9 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
     if guessed and interval > 0.0:
         changes.add(f"no time column: a sample every {interval * 1e6:.6g} us")
         return interval * np.arange(len(table), dtype=float), -1
-    place = table.place(1 if asked.time is None else asked.time)
+    place = 0
+    if asked.time is not None:
+        place = table.place(asked.time, key="time")
     column = columns[place]
     dimension, unit = column.unit(column.time_unit)
 
@@ -398,16 +400,16 @@ def _by_role(
     another file than the first.
     """
 
-    def named(name: str | int) -> Column:
+    def named(name: str | int, role: str) -> Column:
         stem, _, rest = str(name).rpartition(":")
         for table, columns, _ in files:
             if stem and stem in (table.name, Path(table.name).stem):
-                return columns[table.place(rest)]
-        return files[0].columns[files[0].table.place(name)]
+                return columns[table.place(rest, key=role)]
+        return files[0].columns[files[0].table.place(name, key=role)]
 
     if asked.incident and asked.receiving:
         roles = ("incident", "reflected", "receiving")
-        return {role: [*map(named, getattr(asked, role))] for role in roles}
+        return {role: [named(name, role) for name in getattr(asked, role)] for role in roles}
     if asked.incident or asked.receiving:
         raise UsageError("record.incident and record.receiving are both required")
     signals = [

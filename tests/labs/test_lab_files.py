@@ -1,0 +1,110 @@
+"""Files that labs are given: what is wrong with them stands at the key that names them."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from uqsphere.cli import main
+
+STUDIES = Path(__file__).parents[2] / "studies"
+SIEVES = '{ law = "table", file = "sieves.csv", sieve = "size", passing = "passing" }'
+FEED = '{ law = "rosin_rammler", d63 = "28 mm", n = 1.2, top = "63 mm" }'
+
+
+def refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], command: str, template: str, *change: str
+) -> str:
+    """The error of a command with a changed template, told at the last line that is changed."""
+    for path in STUDIES.glob(f"{template}*"):
+        shutil.copy(path, folder)
+    file = folder / f"{template}.toml"
+    before = file.read_text()
+    file.write_text(before.replace(*change, 1))
+    line = before[: before.index(change[0])].count("\n") + change[1].count("\n") + 1
+    assert main([*command.split(), str(file), "--out", str(folder / "out")]) == 2
+    told = capsys.readouterr()
+    assert not told.out
+    assert not (folder / "out").exists()
+    place, _, message = told.err.partition(": ")
+    assert place == f"{file}:{line}"
+    return message
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('"diameter_mm"', '"d"', "tests.diameter: the column 'd' is not in"),
+        (
+            'diameter        = "diameter_mm"',
+            'mesh_lower = "diameter_mm"\nmesh_upper = "d"',
+            "tests.mesh_upper: the column 'd' is not in",
+        ),
+        ('"energy_J_kg"', '"test"', "tests.specific_energy: the unit of the column 'test' is"),
+        ('"energy_J_kg"', '"energy_J_kg"\nunit = "N"', "tests.unit: unit must be one of J/kg"),
+        ('"outcome"', '"test"', "tests.outcome: lab_limestone_feed_tests.csv: lines 4, 5"),
+        ('"outcome"', '"outcome"\nwhere = { x = 1 }', "tests.where: the column 'x' is not in"),
+    ],
+)
+def test_columns_of_tests_are_told_at_their_keys(
+    before: str, after: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = refused(tmp_path, capsys, "comminution fit", "lab_limestone_feed", before, after)
+    assert told.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("size [mm],share\n1,0.5\n", "feed.sizes.passing: the column 'passing' is not in"),
+        ("size,passing\n1,0.5\n", "feed.sizes.sieve: the unit of the column 'size' is missing"),
+        ("size [mm],passing\n1,x\n", "feed.sizes.passing: sieves.csv: line 2: passing: 'x' is"),
+        ("size [mm],passing\n2,1\n2,1\n", "feed.sizes.file: sieves.csv: the sieves must differ"),
+        ("", "feed.sizes.file: 'sieves.csv' is empty"),
+    ],
+)
+def test_columns_of_sieves_are_told_at_their_keys(
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "sieves.csv").write_text(text)
+    told = refused(tmp_path, capsys, "comminution feed", "lab_limestone_feed", FEED, SIEVES)
+    assert told.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('"time [us]"', '"t"', "record.time: the column 't' is not in"),
+        ('"incident [microstrain]"', '"t"', "record.incident: the column 't' is not in"),
+        ('"receiving [microstrain]"', '["time [us]", 7]', "record.receiving: the column '7' is"),
+    ],
+)
+def test_columns_of_records_are_told_at_their_keys(
+    before: str, after: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = refused(tmp_path, capsys, "shpb records", "lab_gauge_records", before, after)
+    assert told.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("heads", "keys", "message"),
+    [
+        ("x,F [N]", "", "slow.toml:1: displacement: the unit of the column 'x' is missing."),
+        ("x [mm],F", 'force_unit = "kPa"', "slow.toml:4: force_unit: force_unit must be one of N,"),
+        ("x [mm],F [N]", 'force = "f"', "slow.toml:4: force: the column 'f' is not in"),
+    ],
+)
+def test_columns_of_a_slow_test_are_told_at_their_keys(
+    heads: str,
+    keys: str,
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{k / 1000},{k}\n" for k in range(40))
+    Path("slow.csv").write_text(f"{heads}\n{rows}")
+    Path("slow.toml").write_text(f'# a test\nfile = "slow.csv"\ndiameter = "10 mm"\n{keys}\n')
+    assert main(["shpb", "fit-contact", "slow.toml"]) == 2
+    assert capsys.readouterr().err.startswith(message)
