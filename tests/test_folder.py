@@ -111,7 +111,7 @@ def test_history_and_labs_write_into_no_folder_of_another_study(
     assert main(["comminution", "fit", fit, "--out", str(folder)]) == 5
     told = capsys.readouterr()
     assert "breaks half" in told.out
-    assert "holds a run: choose another folder with --out" in told.err
+    assert "holds a run. Choose another directory with --out" in told.err
     assert content(folder) == before
 
 

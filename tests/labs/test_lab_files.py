@@ -59,7 +59,9 @@ def test_columns_of_tests_are_told_at_their_keys(
         ("size [mm],share\n1,0.5\n", "feed.sizes.passing: the column 'passing' is not in"),
         ("size,passing\n1,0.5\n", "feed.sizes.sieve: the unit of the column 'size' is missing"),
         ("size [mm],passing\n1,x\n", "feed.sizes.passing: sieves.csv: line 2: passing: 'x' is"),
-        ("size [mm],passing\n2,1\n2,1\n", "feed.sizes.file: sieves.csv: the sieves must differ"),
+        ("size [mm],passing\n2,1\n2,1\n", "feed.sizes.passing: sieves.csv: line 3: the sieves"),
+        ("size [mm],passing\n2,1\n0,0\n", "feed.sizes.passing: sieves.csv: line 3: the sieves"),
+        ("size [mm],passing\n1,40\n2,130\n", "feed.sizes.passing: sieves.csv: line 3: the"),
         ("", "feed.sizes.file: 'sieves.csv' is empty"),
     ],
 )
@@ -91,6 +93,7 @@ def test_columns_of_records_are_told_at_their_keys(
     [
         ("x,F [N]", "", "slow.toml:1: displacement: the unit of the column 'x' is missing."),
         ("x [mm],F", 'force_unit = "kPa"', "slow.toml:4: force_unit: force_unit must be one of N,"),
+        ("x [m],F [N]", "", "slow.toml:1: displacement: the displacement goes over 38 mm, more"),
         ("x [mm],F [N]", 'force = "f"', "slow.toml:4: force: the column 'f' is not in"),
     ],
 )
@@ -103,8 +106,36 @@ def test_columns_of_a_slow_test_are_told_at_their_keys(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    rows = "".join(f"{k / 1000},{k}\n" for k in range(40))
+    rows = "".join(f"{k / 1000},{k}\n" for k in [*range(40), 0])
     Path("slow.csv").write_text(f"{heads}\n{rows}")
     Path("slow.toml").write_text(f'# a test\nfile = "slow.csv"\ndiameter = "10 mm"\n{keys}\n')
     assert main(["shpb", "fit-contact", "slow.toml"]) == 2
     assert capsys.readouterr().err.startswith(message)
+
+
+def test_a_row_that_is_asked_about_is_told_where_no_law_fits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A number of a wrong unit is the cause, and not a prior."""
+    shutil.copy(STUDIES / "lab_limestone_feed.toml", tmp_path)
+    tests = (STUDIES / "lab_limestone_feed_tests.csv").read_text()
+    (tmp_path / "lab_limestone_feed_tests.csv").write_text(tests.replace(",216,", ",216e30,"))
+    assert main(["comminution", "fit", str(tmp_path / "lab_limestone_feed.toml")]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("note: line 4: the energy lies far from the others: is its unit right?")
+
+
+def test_an_empty_record_and_a_file_in_place_of_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in STUDIES.glob("lab_gauge_records*"):
+        shutil.copy(path, tmp_path)
+    command = ["shpb", "records", str(tmp_path / "lab_gauge_records.toml"), "--out"]
+    (tmp_path / "out").touch()
+    assert main([*command, str(tmp_path / "out")]) == 5
+    told = capsys.readouterr()
+    assert "largest force at B" in told.out
+    assert "out is not a directory. Choose another with --out" in told.err
+    (tmp_path / "lab_gauge_records_test.csv").write_text("")
+    assert main([*command, str(tmp_path / "new")]) == 2
+    assert "record.file: 'lab_gauge_records_test.csv' is empty" in capsys.readouterr().err

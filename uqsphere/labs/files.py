@@ -106,8 +106,10 @@ def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str
 
     written = []
     try:
+        if chosen.out and chosen.out.is_file():
+            raise FolderError(f"{chosen.out} is not a directory. Choose another with --out")
         if chosen.out and (chosen.out / RESULTS).exists():
-            raise FolderError(f"{chosen.out} holds a run: choose another folder with --out")
+            raise FolderError(f"{chosen.out} holds a run. Choose another directory with --out")
         if chosen.out:
             write_files(chosen.out, files)
             written = [str(chosen.out / name) for name in files]

@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from uqsphere.documents import load_document
-from uqsphere.errors import tell
+from uqsphere.errors import UsageError, tell
 from uqsphere.labs.files import JsonObject, csv_text, finish, named_by, table
 from uqsphere.uq import LEVEL_TEXT
 
@@ -22,7 +22,12 @@ def _run(chosen: Namespace) -> None:
     folder = chosen.file.parent
     with named_by(chosen.file, "tests"):
         tests = load_tests(asked, folder)
-    posterior, fitted = fit(tests, asked)
+    try:
+        posterior, fitted = fit(tests, asked)
+    except UsageError:
+        for note in tests.notes:  # one of these rows may be the cause
+            tell(f"note: {note}")
+        raise
     low, high = posterior.tested
     at = asked.strength_at or math.sqrt(low * high)
     content = {**fitted, "strength_at": at}

@@ -107,12 +107,15 @@ def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function
             "these are shares, remove percent from the heading",
             "passing",
         )
-    rising = (np.diff(sieve, prepend=0.0) > 0.0) & (np.diff(share, prepend=0.0) >= 0.0)
-    if not rising.all() or not 0.0 < share[-1] <= 1.0001:
-        raise TableError(
-            f"{table.name}: the sieves must differ, and the share that passes must rise with them, "
-            "up to 100 %"
-        )
+    wrong = (np.diff(sieve, prepend=0.0) <= 0.0) | (np.diff(share, prepend=0.0) < 0.0)
+    wrong[-1] |= not 0.0 < share[-1] <= 1.0001
+    table.refuse(
+        "passing",
+        "the sieves must be above 0 and differ, and the share that passes must rise with them, up "
+        "to 100 %",
+        np.sort(order[wrong]),
+    )
+    table.check()
     left = 1.0 - share[-1]
     top = asked.top or sieve[-1]
     if top > sieve[-1] * (1.0 + 1e-9):

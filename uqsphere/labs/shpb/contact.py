@@ -21,6 +21,7 @@ from uqsphere.materials import library, materials_of
 from uqsphere.mechanics.contact import hertz_constant, pressure_at_force
 from uqsphere.mechanics.yielding import Face
 from uqsphere.quantities import lookup
+from uqsphere.tables import TableError
 from uqsphere.uq import student
 
 from .recorder import read_recorded
@@ -174,6 +175,13 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
     if len(kept) < _LEAST:
         raise UsageError(
             f"{len(kept)} samples above {_QUIET:.0%} of the largest force, {_LEAST} are required"
+        )
+    moved = np.ptp(displacement[kept])
+    if moved > asked.diameter:
+        raise TableError(
+            f"the displacement goes over {moved * 1e3:.3g} mm, more than the diameter. Is it in "
+            "another unit (displacement_unit)?",
+            "displacement",
         )
     kept = kept[np.linspace(0, len(kept) - 1, min(len(kept), _MOST)).astype(int)]
     return displacement[kept], force[kept], np.maximum.accumulate(force)[kept], table.notes

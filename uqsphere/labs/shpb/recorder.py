@@ -57,6 +57,8 @@ def read_recorded(path: Path) -> tuple[Table, str]:
     """
     name = path.name
     lines, notes = tables.read_lines(path, _LARGEST)
+    if not lines:
+        raise TableError(f"{name!r} is empty")
     # without quotes around a whole line
     lines = {number: re.sub('^"([^"]*)"$', r"\1", line) for number, line in lines.items()}
     live = {number: line for number, line in lines.items() if not is_comment(line)}
