@@ -315,15 +315,17 @@ class Table:
         column = str(column)
         heading = self.headings[at]
         if column.isdigit():
-            column = heading
-        factor = self.units[key] = self._factor(heading, dimension, unit, key)
+            column = heading or f"column {at + 1}"
+        factor = self.units[key] = self._factor(heading, column, dimension, unit, key)
         values = self._parsed([row[at] for row in self.rows], column, key, blank)
         with np.errstate(over="ignore"):
             values *= factor
         self.refuse(key, f"{column}: a number is too large", np.abs(values) > LARGEST_NUMBER)
         return values
 
-    def _factor(self, heading: str, dimension: str, unit: str | None, key: str) -> float:
+    def _factor(
+        self, heading: str, column: str, dimension: str, unit: str | None, key: str
+    ) -> float:
         """The unit of a column in SI: as given or of its heading, which must agree."""
         if dimension == "number":
             return 1.0
@@ -341,8 +343,8 @@ class Table:
             if key in self.unit_keys:
                 more = f', or add {unit_key} = "{next(iter(units))}"'
             raise TableError(
-                f"the unit of the column {heading!r} is missing. Write it in the heading, "
-                f'"{heading} [{next(iter(units))}]"{more} ({allowed})',
+                f"the unit of the column {column!r} is missing. Write it in the heading, "
+                f'"{column} [{next(iter(units))}]"{more} ({allowed})',
                 key,
             )
         if unit and unit not in units:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from uqsphere.errors import StudyError, UsageError
 from uqsphere.labs.comminution.document import ComminutionDocument
 from uqsphere.labs.shpb.contact import ContactDocument, face_approach, fit_contact
 from uqsphere.labs.shpb.document import RecordDocument
-from uqsphere.labs.shpb.plan import PlanDocument, plan_test
+from uqsphere.labs.shpb.plan import PlanDocument, plan_test, plan_text
 from uqsphere.mechanics.contact import hertz_constant
 from uqsphere.mechanics.yielding import Face
 
@@ -172,6 +173,11 @@ def test_small_shares_come_from_the_law_of_the_strength(
     there = np.interp(np.log(reached[0.04]), np.log(found["values"]), np.log(truth))
     assert there == pytest.approx(np.log(0.04), abs=0.2)
     assert pd.read_csv(tmp_path / "out/plan.csv").shape[0] == 9
+    # a bound is told once, and a value with its interval in one unit
+    text = plan_text(found)
+    assert "(above" not in text
+    assert re.search(r"above 9\d(\.\d+)? %", text)
+    assert re.search(r"\d \([\d.]+ to [\d.]+\) m/s", text)
 
 
 def test_scatter_widens_the_shares_and_intervals_hold_finer_ones(

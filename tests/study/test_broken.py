@@ -576,3 +576,10 @@ def test_the_base_is_in_order(tmp_path: Path) -> None:
     for text in (BASE, BLACK_BOX):
         path.write_text(text)
         assert load_study(path).warnings == ()
+
+
+def test_a_key_of_the_kind_without_a_name_is_told_without_it(tmp_path: Path) -> None:
+    text = BASE.replace(SHAPE, 'shape = "measured"\nfile = "p.csv"')
+    with pytest.raises(StudyError) as caught:
+        load_study(tmp_path / "study.toml", text=text)
+    assert 'length is not a key of [striker] with "measured". Remove it' in str(caught.value)

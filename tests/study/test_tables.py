@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uqsphere.errors import StudyError
+from uqsphere.study import load_study
 from uqsphere.tables import TableError, read_table, unit_in_heading
 
 PLAIN = "D,F\n14.9,7.42\n15.1,9.85\n15,8.31\n"
@@ -341,3 +343,12 @@ def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -
         assert caught.value.key == "force_unit"
     with pytest.raises(TableError, match='or add diameter_unit = "m"'):
         table.numbers("D", "length", key="diameter")
+
+
+def test_a_column_without_a_heading_has_its_number(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("n,,,x\n1,a,2,3\n3,4,5,6\n")
+    box = '[inputs]\nx = { file = "t.csv", column = "2" }\n[outputs]\nnames = ["y"]\n'
+    with pytest.raises(StudyError, match=r"t\.csv: line 2: column 2: 'a' is not a number"):
+        load_study(tmp_path / "s.toml", text=box)
+    with pytest.raises(TableError, match=r"unit of the column 'column 3'.*\"column 3 \[m\]\""):
+        read_table(tmp_path / "t.csv").numbers(3, "length")

@@ -106,11 +106,11 @@ def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str
 
     written = []
     try:
-        if chosen.out and chosen.out.is_file():
-            raise FolderError(f"{chosen.out} is not a directory. Choose another with --out")
-        if chosen.out and (chosen.out / RESULTS).exists():
-            raise FolderError(f"{chosen.out} holds a run. Choose another directory with --out")
         if chosen.out:
+            if chosen.out.is_file():
+                raise FolderError(f"{chosen.out} is not a directory. Choose another with --out")
+            if (chosen.out / RESULTS).exists():
+                raise FolderError(f"{chosen.out} holds a run. Choose another directory with --out")
             write_files(chosen.out, files)
             written = [str(chosen.out / name) for name in files]
     finally:  # an answer is not lost with its files

@@ -294,7 +294,7 @@ def _keys_by_kind(draft: Draft, shape: str) -> Faults:
             homes = [home for home, form in FORMS[table].items() if key in forms.keys_of(form)]
             if homes and kind not in homes:
                 of = f"[{table}] with {shown(kind)}" if kind else f"[{table}]"
-                only = f", only with {one_of(map(shown, homes))}" if any(homes) else ""
+                only = f", only with {one_of(map(shown, homes))}" if all(homes) else ""
                 yield Fault(f"{key} is not a key of {of}{only}. Remove it", f"{table}.{key}")
         for alternatives in forms.needs_of(FORMS[table].get(kind, "")):
             yield from _one_given(draft, table, alternatives)

@@ -197,16 +197,9 @@ def log_likelihoods(model: EnergyModel, tests: Specimens) -> Function:
     def value(x: Array) -> Array:
         p = {name: np.exp(x[..., k, None]) for k, name in enumerate(names)}
         scatter = model.scatter(p, tests.diameter)
-        median = scatter.median
         ends = bounds(x)
-        likelihood = np.empty(median.shape)
-        for rows, function in (
-            (tests.exact, laws.Scatter.log_density),
-            (~tests.exact, laws.Scatter.log_between),
-        ):
-            of_rows = scatter._replace(median=median[..., rows])
-            likelihood[..., rows] = function(of_rows, ends[..., rows])
-        return tests.weight * likelihood
+        exact = scatter.log_density(ends)
+        return tests.weight * np.where(tests.exact, exact, scatter.log_between(ends))
 
     return value
 

@@ -18,7 +18,13 @@ import uqsphere
 from uqsphere.documents import unknown
 from uqsphere.errors import StudyError, UsageError
 from uqsphere.labs.files import JsonObject, Section, csv_text, in_unit, table
-from uqsphere.quantities import display_unit, format_probability, format_value, lookup
+from uqsphere.quantities import (
+    format_estimate,
+    format_probability,
+    format_probability_estimate,
+    format_value,
+    lookup,
+)
 from uqsphere.study import Study
 
 #: numbers of the rigs that are varied, in order of preference, if the file does not name one
@@ -138,16 +144,12 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
 def plan_text(plan: JsonObject) -> str:
     """Tables for the terminal."""
     free = plan["free"]
-    unit, factor = display_unit(free)
     rows = [[free, "largest force, 5 to 95 %", *(f"broken: {name}" for name in plan["shares"])]]
     values = plan["values"]
     for k in range(0, len(values), max(1, len(values) // 13)):
         low, middle, high = plan["force"][k]
-        force = f"{middle * 1e-3:.4g} kN ({low * 1e-3:.4g} to {high * 1e-3:.4g})"
-        row = [format_value(values[k], free), force]
-        for shares in plan["shares"].values():
-            share, least, most = map(format_probability, shares[k])
-            row.append(f"{share} ({least} to {most})")
+        row = [format_value(values[k], free), format_estimate(middle, low, high, "P_max")]
+        row += [format_probability_estimate(*shares[k]) for shares in plan["shares"].values()]
         rows.append(row)
     wanted = [["share broken", *plan["reached"]]]
     for cells in zip(*plan["reached"].values(), strict=True):
@@ -155,8 +157,7 @@ def plan_text(plan: JsonObject) -> str:
         for cell in cells:
             text = "outside the range"
             if cell["value"]:
-                value, low, high = cell["value"]
-                text = f"{factor * value:.4g} {unit} ({factor * low:.4g} to {factor * high:.4g})"
+                text = format_estimate(*cell["value"], free)
             row.append(text)
         wanted.append(row)
     notes = [f"note: {note}" for note in plan["notes"]]
