@@ -199,7 +199,8 @@ def log_likelihoods(model: EnergyModel, tests: Specimens) -> Function:
         scatter = model.scatter(p, tests.diameter)
         ends = bounds(x)
         exact = scatter.log_density(ends)
-        return tests.weight * np.where(tests.exact, exact, scatter.log_between(ends))
+        likelihood: Array = np.where(tests.exact, exact, scatter.log_between(ends))
+        return tests.weight * likelihood
 
     return value
 

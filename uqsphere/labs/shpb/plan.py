@@ -157,7 +157,8 @@ def plan_text(plan: JsonObject) -> str:
         for cell in cells:
             text = "outside the range"
             if cell["value"]:
-                text = format_estimate(*cell["value"], free)
+                value, low, high = cell["value"]
+                text = format_estimate(value, low, high, free)
             row.append(text)
         wanted.append(row)
     notes = [f"note: {note}" for note in plan["notes"]]
