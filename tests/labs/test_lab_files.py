@@ -139,3 +139,38 @@ def test_an_empty_record_and_a_file_in_place_of_a_folder(
     (tmp_path / "lab_gauge_records_test.csv").write_text("")
     assert main([*command, str(tmp_path / "new")]) == 2
     assert "record.file: 'lab_gauge_records_test.csv' is empty" in capsys.readouterr().err
+
+
+def test_the_keys_that_an_error_asks_for_are_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from openpyxl import Workbook
+
+    rows = (STUDIES / "lab_limestone_feed_tests.csv").read_text().splitlines()[1:]
+    book = Workbook()
+    book.active.append(["a", "cover"])
+    book.active.append(["of", 1])
+    tests = book.create_sheet("tests")
+    for row in rows:
+        tests.append(row.split(","))
+    book.save(tmp_path / "tests.xlsx")
+    file = '"lab_limestone_feed_tests.csv"'
+    text = (STUDIES / "lab_limestone_feed.toml").read_text().replace(file, '"tests.xlsx"')
+    path = tmp_path / "asked.toml"
+    path.write_text(text)
+    command = ["comminution", "fit", str(path), "--out", str(tmp_path / "out")]
+    assert main(command) == 2
+    assert '(sheet = "tests")' in capsys.readouterr().err
+    text = text.replace('"tests.xlsx"', '"tests.xlsx"\nsheet = "tests"')
+    path.write_text(text)
+    assert main(command) == 0
+    sieves = 'law = "table", file = "s.csv", sieve = "s", passing = "p"'
+    (tmp_path / "s.csv").write_text("s [mm];p\n16,125;50\n63,125;100\n")
+    command[1] = "feed"
+    for more, code, said in (
+        ("", 2, "feed.sizes.sieve: s.csv: lines 2, 3: s: '16,125' can be a decimal comma or"),
+        (', decimal = ","', 0, "passing reaches 100, percent are taken"),
+    ):
+        path.write_text(text.replace(FEED, f"{{ {sieves}{more} }}"))
+        assert main(command) == code
+        assert said in capsys.readouterr().err

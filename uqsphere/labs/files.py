@@ -4,16 +4,17 @@ import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import Fault, TomlTable, read_text, refusal, unknown
 from uqsphere.errors import FolderError
 from uqsphere.materials import materials_of
-from uqsphere.tables import TableError
+from uqsphere.tables import Table, TableError, read_table
 from uqsphere.units import parse_value
 
 
@@ -51,6 +52,23 @@ def from_library(raw: Any, *kinds: str) -> Any:
     properties = materials[raw["material"]].properties
     known = {key: properties[key].text for key in ("E", "nu", "density") if key in properties}
     return known | raw
+
+
+class TableFile(Section):
+    """A file with a table of numbers.
+
+    sheet : of a workbook (default: the first with data).
+    decimal : mark, if a column can be read both ways.
+    """
+
+    file: str = ""
+    sheet: str = ""
+    decimal: Literal[".", ","] | None = None
+
+    def read(self, folder: Path, unit_keys: Mapping[str, str]) -> Table:
+        """The table; raises as `uqsphere.tables.read_table`."""
+        table = read_table(folder / self.file, decimal=self.decimal or "", sheet=self.sheet)
+        return replace(table, unit_keys=unit_keys)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from uqsphere.labs.files import (
     Pressure,
     Section,
     Speed,
+    TableFile,
     from_library,
     in_unit,
 )
@@ -57,7 +58,7 @@ class Lognormal(Section):
     log_sd: Positive = Field(allow_inf_nan=True)
 
 
-class TestsTable(Section):
+class TestsTable(TableFile):
     """Tests of single particles: each row is a blow or a compression; values name columns.
 
     rig : what the rows were tested in; rig_column : the column that gives it.
@@ -131,7 +132,7 @@ class TestsTable(Section):
         return self
 
 
-class SizesTable(Section):
+class SizesTable(TableFile):
     """The feed by mass: a law or a sieve table; classes from `top` down by the factor `ratio`.
 
     d63, d50, n, sd : numbers of the law; 0, as of `top`, where none is given.
@@ -145,7 +146,6 @@ class SizesTable(Section):
     top: Length = 0.0
     ratio: float = Field(default=2.0**0.5, gt=1.0)
     classes: int = Field(default=14, ge=1, le=200)
-    file: str = ""
     sieve: str = ""
     sieve_unit: str = ""
     passing: str = ""

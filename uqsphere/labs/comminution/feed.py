@@ -5,7 +5,6 @@ uncertainty of the tests (the draws) and the scatter of a lot are separate.
 """
 
 import math
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +14,7 @@ import numpy as np
 from uqsphere.arrays import Array, Function, Values, special
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import JsonObject
-from uqsphere.tables import TableError, read_table
+from uqsphere.tables import TableError
 
 from . import laws
 from .document import ComminutionDocument, Lognormal, SizesTable
@@ -85,7 +84,7 @@ def _law(asked: SizesTable, size: Array) -> Array:
 
 def _sieves(asked: SizesTable, folder: Path, notes: list[str]) -> tuple[Function, float]:
     """Passing as a function of the size, log-linear between sieves, and the top size [m]."""
-    table = replace(read_table(folder / asked.file), unit_keys={"sieve": "sieve_unit"})
+    table = asked.read(folder, {"sieve": "sieve_unit"})
     column = asked.passing
     sieve = table.numbers(asked.sieve, "length", asked.sieve_unit, key="sieve")
     share = table.numbers(column, key="passing")

@@ -11,7 +11,7 @@ from uqsphere.arrays import Array, Flags, Names, Values
 from uqsphere.documents import WORDS
 from uqsphere.errors import UsageError
 from uqsphere.quantities import lookup
-from uqsphere.tables import Table, TableError, read_table
+from uqsphere.tables import Table, TableError
 
 from . import laws
 from .document import AT_FAILURE, MEASURED, RIGS, ComminutionDocument
@@ -89,7 +89,7 @@ def load_tests(asked: ComminutionDocument, folder: Path) -> Specimens:
     import pandas as pd
 
     want = asked.tests
-    table = replace(read_table(folder / want.file), unit_keys=_UNIT_KEYS)
+    table = want.read(folder, _UNIT_KEYS)
     for column, value in want.where.items():
         if isinstance(value, str):
             cells: Any = table.texts(column, "where")

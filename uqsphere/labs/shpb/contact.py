@@ -51,6 +51,7 @@ Stiffness = Annotated[Positive, in_unit("stiffness")]
 class ContactDocument(Section):
     """An input file of `uqsphere shpb fit-contact`.
 
+    sheet : of a workbook (default: the first with data).
     displacement, force : columns by heading or number; units in the heading or in `*_unit`.
     machine_stiffness : its displacement is subtracted.
     platens : "rigid", or a material of the library for bars; E of the sphere follows from E* and
@@ -60,6 +61,7 @@ class ContactDocument(Section):
 
     title: str = ""
     file: str
+    sheet: str = ""
     diameter: Length
     displacement: str | int = 1
     force: str | int = 2
@@ -140,7 +142,7 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
     Raises UsageError for a table without displacement and force, and for a record without
         compression or unloading, or of too few samples.
     """
-    table, _ = read_recorded(folder / asked.file)
+    table, _ = read_recorded(folder / asked.file, asked.sheet)
     table = replace(table, unit_keys={key: f"{key}_unit" for key in ("displacement", "force")})
     displacement = table.numbers(
         asked.displacement, "length", asked.displacement_unit, key="displacement"

@@ -97,6 +97,7 @@ class RecordTable(Section):
     """The file and its columns, by heading or by number from 1; several gauges of a bar as a list.
 
     more_files : further channels of the recorder, one file each, with the same layout and clock.
+    sheet : of workbooks (default: the first with data).
     reflected : column of the reflected wave, if the three waves have a column each.
     aligned : each wave was cut out and begins at its own foot: gauge distances are not used.
     polarity : sign of compression in the file (default: the incident wave is compression).
@@ -108,6 +109,7 @@ class RecordTable(Section):
 
     file: str
     more_files: tuple[str, ...] = ()
+    sheet: str = ""
     time: str | int | None = None
     incident: Columns = ()
     reflected: Columns = ()

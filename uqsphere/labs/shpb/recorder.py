@@ -45,7 +45,7 @@ _UNEVEN, _FEW_TWICE = 0.01, 3
 # --- tables of recorders --------------------------------------------------------------------------
 
 
-def read_recorded(path: Path) -> tuple[Table, str]:
+def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     """The table of a recorder's file, and the text above its numbers.
 
     Columns may be divided by blanks too, with metadata above the numbers, with or without headings.
@@ -56,7 +56,7 @@ def read_recorded(path: Path) -> tuple[Table, str]:
         `uqsphere.files.read_given`.
     """
     name = path.name
-    lines, notes = tables.read_lines(path, _LARGEST)
+    lines, notes = tables.read_lines(path, _LARGEST, sheet)
     if not lines:
         raise TableError(f"{name!r} is empty")
     # without quotes around a whole line
@@ -266,7 +266,7 @@ def read_traces(
     asked = document.record
     files = []
     for file in (asked.file, *asked.more_files):
-        table, above = read_recorded(folder / file)
+        table, above = read_recorded(folder / file, asked.sheet)
         for note in table.notes:
             changes.add(note)
         columns = []
