@@ -313,12 +313,15 @@ def test_plan_and_run_give_the_same_heights_for_tests_of_spheres_whose_modulus_s
 
 def test_a_law_that_no_solid_has_asks_for_its_units(tmp_path: Path) -> None:
     frame = loading()
-    frame["u [um]"] *= 1e3
+    frame["u [um]"] *= 1e2
     notes = fit(frame, tmp_path).notes
     for key in ("onset_pressure", "hardness"):
         (note,) = [note for note in notes if note.startswith(key)]
         assert "is unusual. Are the units right?" in note
     assert not [note for note in fit(loading(), tmp_path).notes if "unusual" in note]
+    frame["u [um]"] *= 1e1
+    with pytest.raises(UsageError, match=r"more than the diameter.*another unit"):
+        fit(frame, tmp_path)
 
 
 BAR = """
