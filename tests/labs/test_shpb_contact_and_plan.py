@@ -313,7 +313,7 @@ def test_plan_and_run_give_the_same_heights_for_tests_of_spheres_whose_modulus_s
 
 def test_a_law_that_no_solid_has_asks_for_its_units(tmp_path: Path) -> None:
     frame = loading()
-    frame["u [um]"] *= 1e2
+    frame["u [um]"] *= 30
     notes = fit(frame, tmp_path).notes
     for key in ("onset_pressure", "hardness"):
         (note,) = [note for note in notes if note.startswith(key)]
