@@ -227,8 +227,8 @@ def test_a_file_that_cannot_be_loaded(place: Path, body: str, text: str) -> None
 def test_a_file_that_hangs_while_it_is_loaded_ends_the_run(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The limit of a run is too short for what is imported, so that loading has at least a
-    minute.
+    """The limit of a run may be too short for what is imported and compiled, so that loading has
+    ten minutes at least.
     """
     monkeypatch.setattr("uqsphere.models.workers._LOADING", 0.5)
     (place / "box.py").write_text("import time\ntime.sleep(99)\ndef f(x): return x\n")

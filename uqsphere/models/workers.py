@@ -35,8 +35,9 @@ Task = tuple[Any, Names, Names]
 Timed = tuple[Array, float]
 #: calls that an executor of the user is given at once, about
 _MANY = 512
-#: seconds that a limit leaves to the loading of a model at least, which imports and compiles
-_LOADING = 60.0
+#: seconds that a limit leaves to the loading of a model at least, which imports and compiles: as
+#: long as a run has by default
+_LOADING = 600.0
 
 
 def answer(task: Task | bytes, rows: Array) -> Timed:
@@ -199,7 +200,7 @@ class _Process:
 
     def call(self, rows: Array, limit: float | None) -> Timed:
         """Answers to rows, within a limit [s]; raises as `result`, and ModelError where loading the
-        model takes longer, and longer than a minute.
+        model takes longer, and longer than `_LOADING`.
         """
         requests, replies = self._process.stdin, self._process.stdout
         loading = None

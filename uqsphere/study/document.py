@@ -366,8 +366,8 @@ class Analysis(TomlTable):
     cost: Seconds | None = None
     """run time of one black-box model run (default: measured)"""
     time_limit: Seconds | None = None
-    """time limit of one black-box model run; loading the model has as long, and at least a
-    minute"""
+    """time limit of one black-box model run; loading the model has as long, and at least ten
+    minutes"""
 
     @property
     def policy(self) -> str:
