@@ -25,7 +25,6 @@ import numpy as np
 from . import tracked
 from .compiled import compiled
 from .faces import ARMED, approach_at, face_force, face_yielded, stored_energy, tail_level
-from .incoming import heard
 from .lanes import OF_POWERS
 from .tracked import (
     DIFFERENCE,
@@ -488,9 +487,6 @@ def _note_approaches(s, j, ends):
         if s.rigged and place >= 0.0:
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
             lane.chatter = lane.touches
-    if not heard(lane, lane.back):
-        for face in range(2):
-            lane.x_first[face] = lane.peak[face]
 
 
 #: functions of both faces whose largest values are followed
@@ -633,13 +629,10 @@ def step_from_touch(s, j):
     b = LANES + j
     h = s.h[j]
     part = 1.0 / _TOUCH_STEPS
-    s.now[0] = s.x[0, j]
-    s.now[1] = s.x[0, b]
-    s.now[2] = s.u[0, j]
-    s.now[3] = s.free[0, j]
-    s.now[4] = s.free[0, b]
+    columns = ((s.x, j), (s.x, b), (s.u, j), (s.free, j), (s.free, b))
     for v in range(5):
-        s.trial[v] = s.now[v]
+        series, m = columns[v]
+        s.now[v] = s.trial[v] = series[0, m]
     _slopes(s, j, 0.0)
     for v in range(5):
         s.at_touch[v] = h * s.slope[v]
@@ -656,11 +649,13 @@ def step_from_touch(s, j):
             s.now[v] += part * h * s.mean[v]
             s.trial[v] = s.now[v]
     _slopes(s, j, 1.0)
+    for v in range(5):
+        series, m = columns[v]
+        _join(series, m, s.at_touch[v], s.now[v], h * s.slope[v])
     for face in range(2):
         m = face * LANES + j
-        _join(s.x, m, s.at_touch[face], s.now[face], h * s.slope[face])
-        _join(s.u, m, s.at_touch[2], s.now[2], h * s.slope[2])
-        _join(s.free, m, s.at_touch[3 + face], s.now[3 + face], h * s.slope[3 + face])
         s.force[0, m], slope = face_force(s, m, s.x[0, m])
         end, end_slope = face_force(s, m, s.now[face])
         _join(s.force, m, slope * s.at_touch[face], end, end_slope * h * s.slope[face])
+    for k in range(TERMS):  # the speed of the sphere stands in both columns
+        s.u[k, b] = s.u[k, j]

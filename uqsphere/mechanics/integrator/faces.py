@@ -46,9 +46,7 @@ def _select(condition, a, b):
 
 
 #: the law of first loading, compiled
-_LAW = first_loading(_select, compiled)
-_virgin_force, _virgin_slope = _LAW.force, _LAW.slope
-_virgin_area, _area_shape = _LAW.area, _LAW.area_shape
+_virgin_force, _virgin_slope, _virgin_area, _area_shape, _ = first_loading(_select, compiled)
 
 
 @compiled
@@ -111,15 +109,20 @@ def let_go(s, m, above):
 
 
 @compiled
-def switch(s, m, above):
-    """The other branch of a face at `above` its dent; returns the approach above the dent that it
-    has then.
+def switch(s, m):
+    """Put a face on its other branch, where it stands now.
+
+    From its first yield on a row has an error of its own in one step.
     """
+    j = m % LANES
+    s.lane[j].by_law = 1
+    s.error[j] = min(s.error[j], s.closer * s.local)
     if s.spring[m] > 0.0:
         press_on(s, m)
-        return s.largest[m] - s.dent[m]
-    s.lane[m % LANES].unloadings += 1.0
-    return let_go(s, m, above)
+        s.x[0, m] = s.largest[m] - s.dent[m]
+    else:
+        s.lane[j].unloadings += 1.0
+        s.x[0, m] = let_go(s, m, s.x[0, m])
 
 
 @compiled

@@ -193,9 +193,7 @@ def _enter(s, j, r, rows):
     lane.back = min(lane.trips[0], lane.trips[1])
     if pulse_end == inf and lane.back == inf:
         lane.steady = 1.0
-    incoming.enter_piece(s, j, rows)
-    incoming.reflect_break(s, j)
-    lane.stop = incoming.next_break(s, j, rows)
+    _jump(s, j, rows)  # at first touch the waves begin
     if s.rigged and closes <= 0.0:
         lane.fate = tracked.NEVER_CLOSES
 
@@ -377,8 +375,7 @@ def _change_branch(s, j):
         if s.switches[m] < MOST_SWITCHES and wrong_branch(s, m, s.h[j], beyond * s.size[m]):
             s.switches[m] += 1.0
             s.switched_at[m] = lane.time
-            s.x[0, m] = switch(s, m, s.x[0, m])
-            s.error[j] = min(s.error[j], s.closer * s.local)
+            switch(s, m)
             changed = True
     return changed
 
@@ -525,15 +522,12 @@ def _move_on(s, j, ending):
             lane.touches = lane.touches + 1.0
         else:
             lane.parted = lane.time + ending * s.h[j]
-        for m in range(j, PAIR, LANES):
-            if m == side or s.mode == MASSLESS:  # both faces move alike
+    for m in range(j, PAIR, LANES):
+        if m == side or s.mode == MASSLESS:  # both faces move alike
+            if lane.why == End.CONTACT:
                 s.x[0, m] = 0.0
-    elif lane.why == End.BRANCH:
-        lane.by_law = 1
-        s.error[j] = min(s.error[j], s.closer * s.local)
-        for m in range(j, PAIR, LANES):
-            if m == side or s.mode == MASSLESS:
-                s.x[0, m] = switch(s, m, s.x[0, m])
+            elif lane.why == End.BRANCH:
+                switch(s, m)
     if s.rigged:
         for m in range(j, PAIR, LANES):
             s.free[0, m] = events.value_of(s.free, m, ending)
@@ -546,9 +540,9 @@ def _move_on(s, j, ending):
     s.u_size[j] = max(s.u_size[j], abs(s.u[0, j]))
     if lane.by_law:
         press_deeper(s, j)
+    if not incoming.heard(lane, lane.back):
         for face in range(2):
-            if not incoming.heard(lane, lane.back):
-                lane.x_first[face] = largest_approach(s, face * LANES + j)
+            lane.x_first[face] = largest_approach(s, face * LANES + j)
 
 
 @compiled(inline=True)
@@ -569,7 +563,7 @@ def _propose(s, j, ending, at_stop, ahead):
         lane.proposed = 1.001 * ahead
 
 
-@compiled(inline=True)
+@compiled
 def _jump(s, j, rows):
     """Go on from a jump of the waves, unless too many of them are under way."""
     lane = s.lane[j]

@@ -526,79 +526,83 @@ _FIRM, _FIRST_LOOK = 10.0, 30.0
 #: share of the sphere's speed by which two looks differ where their motions have parted: far above
 #: any tolerance, far below another blow; what it decides is one look more
 _ASTRAY = 1e-2
-#: answers of risky rows that are compared at two tolerances; not a number where not wanted
+#: answers that are compared at two tolerances; not a number where not wanted
 _COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
 
 
 def look_closer(rows: Rows, task: Task) -> Any:
-    """Answers of `march_rows`, and again at ever closer tolerances for the rows whose answers may
-    be worse than that of the task.
+    """Answers of `march_rows`; of rows in which they may be worse than the tolerance of the task,
+    those of another look, a hundred times closer than the last one, until a look settles them.
 
-    `doubt` is above 0 where the finest tolerance still leaves a doubt: 1 where an error
-    of the approach may decide whether contact is lost, or move the first loss by more than `_FIRM`
-    tolerances, and where a duration that counts contacts behind the first loss differs by as much
-    from that at a hundredth of the tolerance; 2 where any answer of a row of many steps, or behind
-    a contact that was found again, still differs by as much between the two finest tolerances that
-    it has room for.
+    There are three reasons for another look, and what the last one leaves of them is the row's
+    `doubt`, else 0:
+
+    undecided   an error of the approach may decide whether contact is lost, or move the first loss
+                by more than `_FIRM` tolerances: 1
+    counted     a duration counts contacts behind the first loss, and differs by as much from that
+                of one look more: 1
+    compared    many steps, or contacts that were found again, have added errors up, and any answer
+                differs by as much between the last two looks: 2
     """
-    wanted = task.wanted
     tolerance = task.tolerance
+    wanted = task.wanted
     task = replace(task, requested=tolerance)
     answers, _ = march_rows(rows, task)
-    ended = answers["status"] == tracked.OK
-    closest = np.full(len(answers), tolerance)
-    strict = wanted & tracked.WANT_CONTACT != 0
-    timed = strict
-    if task.stop_at_loss and not task.rigged:
-        timed = wanted & tracked.BY_LOSS != 0
-    echoing = np.asarray(np.isfinite(rows.round_trips).any(axis=1))
-    summed = wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN) != 0
+    answers["doubt"] = 0.0
     # many steps add errors up, and each contact that is found again throws the sphere by its own
-    many = answers["steps"] > _MANY_STEPS
-    risky = ended & ((many & (echoing | summed)) | (answers["regained"] > 0.0))
-    unsettled = risky.copy()
-    moving = risky.copy()
-    compared = _COMPARED
-    if task.rigged and strict:
-        compared = compared | {"parting"}
-    # rows whose duration counts contacts behind their first loss
-    behind = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
-    counted = ended & behind & (wanted & tracked.WANT_DURATION != 0 and not task.rigged)
-    while True:
-        first = closest == tolerance
-        lost = np.nan_to_num(answers["contact"])
-        blur = answers["blur"] * np.where(first & strict, _FIRST_LOOK, 1.0)
-        moved = np.fmax(lost - answers["grazed"], blur)
-        doubt = ended & timed & (moved > _FIRM * tolerance * lost)
-        again = (unsettled | doubt | (counted & first)) & (closest > _FINEST)
-        if not again.any():
-            break
-        for each in np.unique(closest[again]):
-            picked = np.flatnonzero(again & (closest == each))
-            closer = max(_CLOSER * each, _FINEST)
-            look, _ = march_rows(rows.at(picked), replace(task, tolerance=closer))
-            # one that has no room for so many steps keeps the answers that it has
-            done = look["status"] == tracked.OK
-            closest[picked] = np.where(done, closer, _FINEST)
-            differs = _changes(answers[picked], look, compared, tolerance)
-            largest = np.fmax.reduce([np.zeros(len(picked)), *differs.values()])
-            # a record that goes on to its horizon may have missed a blow where it is not known how
-            # the sphere moves at the end
-            speed = look["sphere_speed"]
-            astray = np.abs(speed - answers["sphere_speed"][picked]) > _ASTRAY * np.abs(speed)
-            astray &= echoing[picked] & (look["ended"] >= rows.horizon[picked] * (1.0 - 1e-12))
-            unsettled[picked] = risky[picked] & (~done | (largest > 1.0) | astray)
-            moving[picked] = risky[picked] & (~done | (largest > _FIRM))
-            counted[picked] &= ~done | (differs["duration"] > _FIRM)
-            answers[picked[done]] = look[done]
-    answers["doubt"] = np.where(moving, 2.0, doubt | counted)
+    compared = answers["steps"] > _MANY_STEPS
+    echoing = np.isfinite(rows.round_trips).any(axis=1)
+    if not wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN):
+        compared &= echoing
+    compared |= answers["regained"] > 0.0
+    counted = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
+    counted &= wanted & tracked.WANT_DURATION != 0 and not task.rigged
+    again = np.flatnonzero(compared | counted | _undecided(answers, task))
+    while len(again) and task.tolerance > _FINEST:
+        task = replace(task, tolerance=max(_CLOSER * task.tolerance, _FINEST))
+        before = answers[again]
+        look, _ = march_rows(rows.at(again), task)
+        # a row that has no room for so many steps keeps the answers that it has, and their doubt
+        done = look["status"] == tracked.OK
+        answers[again[done]] = look[done]
+        differs = _differences(before, look, task)
+        largest = np.fmax.reduce([np.zeros(len(again)), *differs.values()])
+        # a record that goes on to its horizon may have missed a blow where it is not known how the
+        # sphere moves at the end
+        speed = look["sphere_speed"]
+        astray = np.abs(speed - before["sphere_speed"]) > _ASTRAY * np.abs(speed)
+        astray &= echoing[again] & (look["ended"] >= rows.horizon[again] * (1.0 - 1e-12))
+        undecided = _undecided(answers[again], task)
+        counted[again] &= ~done | (differs["duration"] > _FIRM)
+        answers["doubt"][again] = np.where(
+            compared[again] & (~done | (largest > _FIRM)), 2.0, undecided | counted[again]
+        )
+        again = again[done & (undecided | (compared[again] & ((largest > 1.0) | astray)))]
     return answers
 
 
-def _changes(before: Any, after: Any, names: Collection[str], tolerance: float) -> dict[str, Array]:
-    """Tolerances by which answers of two looks differ, by name; not a number where both are zero
-    or not wanted.
+def _undecided(answers: Any, task: Task) -> Flags:
+    """Rows in which an error of the approach may decide on the first loss of contact, or move it
+    too far, and something that is wanted depends on it.
     """
+    asked = task.wanted & tracked.WANT_CONTACT
+    blur = answers["blur"]
+    if asked and task.tolerance == task.requested:
+        blur = _FIRST_LOOK * blur
+    if task.stop_at_loss and not task.rigged:
+        asked = task.wanted & tracked.BY_LOSS
+    lost = np.nan_to_num(answers["contact"])
+    moved = np.fmax(lost - answers["grazed"], blur)
+    return (asked != 0) & (moved > _FIRM * task.requested * lost)
+
+
+def _differences(before: Any, after: Any, task: Task) -> dict[str, Array]:
+    """Tolerances that were asked for by which answers of two looks differ, by name; not a number
+    where both are zero or not wanted.
+    """
+    names = _COMPARED
+    if task.rigged and task.wanted & tracked.WANT_CONTACT:
+        names = names | {"parting"}
     earlier, later = map(tracked.answer_columns, (before, after))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return {name: np.abs(later[name] / earlier[name] - 1.0) / tolerance for name in names}
+        return {name: np.abs(later[name] / earlier[name] - 1.0) / task.requested for name in names}

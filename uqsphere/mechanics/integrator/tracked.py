@@ -233,7 +233,7 @@ LANE = np.dtype(
             "why",  # what ends it, see End; choose, after_step
             "side",  # at which face; after_step
             # the faces: law, branch, and what stands at the pole
-            "by_law",  # 1 where a force is no longer x^(3/2); enter, move_on
+            "by_law",  # 1 where a force is no longer x^(3/2); enter, switch
         ),
         *_fields(
             "f8",
@@ -289,7 +289,7 @@ LANE = np.dtype(
             "trips",  # t_c; round trips, inf without echo; enter
             # what is followed
             "touched",  # 1 once a face has touched; after_step
-            "x_first",  # deepest before the first echo; after_step, move_on
+            "x_first",  # deepest before the first echo; move_on
             "other",  # force of the other face at a face's peak; after_step
             "carried",  # integrals of the squared forces; after_step
         ),
@@ -317,7 +317,7 @@ STATE = np.dtype(
             # the row
             "inverse_mu",  # 1/mu, 0 without mass; enter
             # the step
-            "error",  # error allowed in one step; enter, change_branch, keep, move_on
+            "error",  # error allowed in one step; enter, switch, keep
             "u_size",  # scale of u; enter, move_on
             "wrong_allowed",  # impulse by which a root may be off; try_step, choose
             "excess",  # impulse of `wrong` over what is allowed; shorten_to_roots
