@@ -11,7 +11,7 @@ energy balance.  Equation numbers (R...) refer to docs/theory.md.
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebval
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, ColumnMap, Pair, Values, quiet
+from uqsphere.arrays import Array, ColumnMap, Flags, Pair, Values, quiet
 
 from . import contact
 from .integrator.tracked import TAIL_SHARE
@@ -208,39 +208,39 @@ _SWING, _SWING_POWER = 0.70, 0.45
 _BLOCK_ROWS = 8192
 
 
-@quiet
-def closed_form_rows(scene: Scene, fidelity: str = "full") -> Values:
+def closed_form_rows(scene: Scene, fidelity: str = "full") -> Flags:
     """Rows that `solve_closed` applies to, (n,).
 
     A massless sphere between infinite bars under a rectangular or step pulse, or under a drop
     weight; all rows under slow loading; impacts with one contact and no reflected wave during
     contact.
     """
-    every, (behind, ahead) = np.ones(len(scene), bool), scene.partners
+    return _closed_form(scene, fidelity)[1]
+
+
+@quiet
+def _closed_form(scene: Scene, fidelity: str) -> tuple[Callable[[Scene], ColumnMap], Flags]:
+    """The closed form of the rig of a scene, and the rows that it applies to, (n,)."""
+    every = np.ones(len(scene), bool)
+    if scene.setup.by_press:
+        return _pressed, every
+    massless = fidelity == "massless"
     if scene.by_wave:
         plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
-        applies = fidelity == "massless" and scene.infinite and scene.contact_law == "hertz"
-        return every & (plain and applies)
-    if scene.setup.by_press or _is_light(scene, fidelity):
-        return every
-    if behind is not None or scene.horizon is not None:
-        return ~every
+        infinite = scene.infinite and scene.contact_law == "hertz"
+        return _massless, every & (massless and infinite and plain)
+    free = scene.horizon is None
+    if scene.setup.weight_falls:
+        elastic = all(partner.face is None for partner in scene.there)
+        return _light, every & (massless and free and elastic and not np.any(scene.reflections))
+    behind, ahead = scene.partners
+    if behind is not None or not free:
+        return _impact, ~every
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
-        return every & (ahead.kind in ("thick", "mass"))
+        return _impact, every & (ahead.kind in ("thick", "mass"))
     duration = scene.scales.time * _elastic(scene, ahead, scene.scales.force)["duration"]
-    return ~(duration > scene.echoes[:, 1])
-
-
-def _is_light(scene: Scene, fidelity: str) -> bool:
-    """Whether it is a drop weight on an elastic sphere without mass, and no reflected wave."""
-    return (
-        fidelity == "massless"
-        and scene.setup.weight_falls
-        and scene.horizon is None
-        and not np.any(scene.reflections)
-        and all(partner.face is None for partner in scene.there)
-    )
+    return _impact, ~(duration > scene.echoes[:, 1])
 
 
 @quiet
@@ -251,7 +251,8 @@ def solve_closed(
 
     Raises ValueError for a scene with a row that is not in `closed_form_rows`.
     """
-    if not closed_form_rows(scene, fidelity).all():
+    closed_form, applies = _closed_form(scene, fidelity)
+    if not applies.all():
         raise ValueError(
             "closed forms need slow loading, an impact on one body, or fidelity = 'massless' with "
             "a drop weight on elastic contacts or a rectangular or step pulse in infinite bars"
@@ -261,14 +262,7 @@ def solve_closed(
         return merged_answers(
             *((rows, solve_closed(scene.at(rows), fidelity, quantities)) for rows in blocks)
         )
-    if scene.by_wave:
-        closed = _massless(scene)
-    elif scene.setup.by_press:
-        closed = _pressed(scene)
-    elif scene.setup.weight_falls:
-        closed = _light(scene)
-    else:
-        closed = _impact(scene)
+    closed = closed_form(scene)
     # closed forms have a single force peak, and no grazing contact
     first = closed["x_max"]
     columns = {"status": scene.status, "steps": 0, "doubt": 0.0, "x_first": first, **closed}

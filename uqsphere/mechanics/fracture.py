@@ -148,18 +148,16 @@ def first_fractures(
 class _Course(NamedTuple):
     """One row's motion in scaled variables.
 
-    start, length (m,): of the steps.  states (m, 2, 17): coefficients of the approaches.  times (16
-    m,): of the nodes, which divide every step into 16 parts.  peaks: peak `force` and peak `energy`
-    so far, (16 m,) each.  forces (m, 2, 17): coefficients of the drive: the approach, whose 3/2
-    power is the Hertz force, or the force itself for contacts that yield, differ or are linear.
-    deepest (1 + 16 m, 2): peak approaches before each node, and in the end.  linear: whether the
-    contacts are.
+    start, length (m,): of the steps.  series (2, m, 2, 17): coefficients of the approaches, and of
+    the drive: the approach, whose 3/2 power is the Hertz force, or the force itself for contacts
+    that yield, differ or are linear.  times (16 m,): of the nodes, which divide every step into 16
+    parts.  peaks: peak `force` and peak `energy` so far, (16 m,) each.  deepest (1 + 16 m, 2): peak
+    approaches before each node, and in the end.  linear: whether the contacts are.
     """
 
     start: Array
     length: Array
-    states: Array
-    forces: Array
+    series: Array
     times: Array
     peaks: dict[str, Array]
     deepest: Array
@@ -168,29 +166,20 @@ class _Course(NamedTuple):
 
 def _course(motion: Motion) -> _Course:
     """The course of one motion up to contact loss, or until no larger force or energy can occur."""
-    # contact may be lost within the last step
-    inside = motion.start < motion.end
-    start = motion.start[inside]
-    states = motion.states[inside, :2]
-    length = np.minimum(motion.length[inside], motion.end - start)
-    cut = (length / motion.length[inside])[:, None, None] ** np.arange(states.shape[2])
-    states = forces = states * cut
+    states = forces = motion.states[:, :2]
     if motion.forces is not None:
-        forces = motion.forces[inside] * cut
+        forces = motion.forces
+    series = np.stack([states, forces])
     # values at the nodes, (16 m, 2)
-    approach, drive = (
-        np.maximum(series @ _POWERS, 0.0).transpose(0, 2, 1).reshape(-1, 2)
-        for series in (states, forces)
-    )
+    approach, drive = np.maximum(series @ _POWERS, 0.0).swapaxes(2, 3).reshape(2, -1, 2)
     deepest = np.maximum.accumulate(approach, axis=0)
     linear = motion.fidelity == "linear"
     loads = _loads(motion.scene, np.array([motion.row]), drive, approach, deepest, linear)
     return _Course(
-        start=start,
-        length=length,
-        states=states,
-        forces=forces,
-        times=(start[:, None] + length[:, None] * _SHARES).ravel(),
+        start=motion.start,
+        length=motion.length,
+        series=series,
+        times=(motion.start[:, None] + motion.length[:, None] * _SHARES).ravel(),
         peaks={name: np.maximum.accumulate(load) for name, load in loads.items()},
         deepest=np.vstack([np.zeros(2), deepest]),
         linear=linear,
@@ -268,19 +257,14 @@ def _cross(
     levels = zip(peaks, level, strict=True)
     at = np.array([np.searchsorted(peak[:-1], value) for peak, value in levels])
     steps = list(zip(courses, at // ORDER, strict=True))
-
-    def of_steps(name: str) -> Array:
-        return np.array([getattr(course, name)[k] for course, k in steps])
-
-    states, forces = (np.moveaxis(of_steps(name), -1, 0) for name in ("states", "forces"))
+    start, length = np.transpose([(c.start[k], c.length[k]) for c, k in steps])
+    # (17, 2, n, 2)
+    series = np.moveaxis([c.series[:, k] for c, k in steps], (3, 1), (0, 1))
     before = np.stack([c.deepest[k] for c, k in zip(courses, at, strict=True)])
 
     def moment(share: Array) -> dict[str, Array]:
         """Larger force and energy (n,) at a fraction (n,) of the steps."""
-        approach, drive = (
-            np.maximum(polyval(share[:, None], series, tensor=False), 0.0)
-            for series in (states, forces)
-        )
+        approach, drive = np.maximum(polyval(share[:, None], series, tensor=False), 0.0)
         deepest = np.maximum(before, approach)
         return _loads(scene, rows, drive, approach, deepest, courses[0].linear)
 
@@ -289,5 +273,5 @@ def _cross(
         lambda share: moment(share)[path.over] < level, high - 1.0 / ORDER, high, _HALVINGS
     )
     reached = moment(high)
-    instant = (of_steps("start") + high * of_steps("length")) * time
+    instant = (start + high * length) * time
     return np.stack([instant, *(unit * reached[name] for name, unit in units.items())])

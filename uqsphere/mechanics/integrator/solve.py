@@ -60,7 +60,7 @@ class Motion:
     start, length (m,): of the steps, over t_c; states (m, 3, k): x_1, x_2 and u on every step,
     coefficients in ascending powers of the share of the step that has passed; forces (m, 2, k): the
     same of both forces over P_c, where they do not follow from the approach alone.  end: over t_c,
-    may lie inside the last step.  Behind a step at whose end every face is open, round trips of a
+    where the last step ends.  Behind a step at whose end every face is open, round trips of a
     rod may be left out: each repeats the echoes of the last one times R (`records`).
     """
 
