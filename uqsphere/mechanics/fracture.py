@@ -259,7 +259,7 @@ def _cross(
     steps = list(zip(courses, at // ORDER, strict=True))
     start, length = np.transpose([(c.start[k], c.length[k]) for c, k in steps])
     # (17, 2, n, 2)
-    series = np.moveaxis([c.series[:, k] for c, k in steps], (3, 1), (0, 1))
+    series = np.moveaxis(np.array([c.series[:, k] for c, k in steps]), (3, 1), (0, 1))
     before = np.stack([c.deepest[k] for c, k in zip(courses, at, strict=True)])
 
     def moment(share: Array) -> dict[str, Array]:

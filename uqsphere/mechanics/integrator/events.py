@@ -307,7 +307,7 @@ def _first_event(s, j):
         m = face * LANES + j
         at = inf
         if s.x[0, m] > 0.0:
-            if lane.touched[face] > 0.0 and s.floor[m] <= lane.near:
+            if lane.touched[face] > 0.0 and s.floor[m] <= lane.loss_level:
                 _note_graze(s, j, face, ends)
                 at = passage(s, j, face, 0.0, -1.0, 0.0, ends)
         elif (s.x[0, m] < 0.0 or s.x[1, m] < 0.0) and s.top[m] > 0.0:
@@ -318,13 +318,13 @@ def _first_event(s, j):
             at = passage(s, j, face, 0.0, 1.0, clear, ends)
         if at <= ends:
             ends = at
-            lane.why = End.CONTACT
+            lane.ended_by = End.CONTACT
             lane.side = face
-        if s.has_laws and not lane.touching:
+        if s.has_laws and not lane.from_touch:
             at = _branch_end(s, j, face, ends)
-            if at < ends or (at == ends and lane.why == End.SERIES):
+            if at < ends or (at == ends and lane.ended_by == End.SERIES):
                 ends = at
-                lane.why = End.BRANCH
+                lane.ended_by = End.BRANCH
                 lane.side = face
     return ends
 
@@ -374,7 +374,7 @@ def _note_loss(s, j, ends):
     rate, bow = _bend_of(s, lane.side * LANES + j, ends)
     lane.blur = lane.faint * s.h[j] / -rate
     # how deep a gap opens before the approach turns, or the waves jump
-    depth = -rate * ((lane.stop - lane.time) / s.h[j] - ends)
+    depth = -rate * ((lane.next_jump - lane.time) / s.h[j] - ends)
     if bow > 0.0:
         depth = min(depth, 0.5 * rate * rate / bow)
     if depth < lane.faint:
@@ -433,7 +433,10 @@ def after_step(s, j):
     """Bring what is followed of a row up to date with its step; the share of the trial step at
     which it ends.
 
-    lane.why and lane.side receive what ends it.
+    Largest values come first, since the tail in which a record ends is a share of them; integrals
+    last, when it is known where the step ends.
+
+    lane.ended_by and lane.side receive what ends it.
     """
     lane = s.lane[j]
     ends = _first_event(s, j)
@@ -446,17 +449,21 @@ def after_step(s, j):
             lane.peak[kind] = _highest(s, j, kind, ends, before)
             # a difference behind the last largest force does not count
             if kind > DIFFERENCE and lane.peak[kind] > before:
-                lane.regained = lane.touches
-    if not s.rigged and lane.end == inf and lane.time >= lane.pulse_end:
+                lane.retouches_at_value = lane.retouches
+    if not s.rigged and lane.horizon == inf and lane.time >= lane.pulse_end:
         # the record ends below a share of the largest approach
-        lane.low = tail_level(s, j)
-        at = _both_below(s, j, lane.low, ends)
+        lane.record_level = tail_level(s, j)
+        at = _both_below(s, j, lane.record_level, ends)
         if at <= ends:
             ends = at
-            lane.why = End.RECORD
+            lane.ended_by = End.RECORD
             lane.ended = lane.time + at * s.h[j]
             _end_sooner(s, j, ends)
-    if lane.why == End.CONTACT and s.x[0, lane.side * LANES + j] > 0.0 and math.isnan(lane.lost):
+    if (
+        lane.ended_by == End.CONTACT
+        and s.x[0, lane.side * LANES + j] > 0.0
+        and math.isnan(lane.lost)
+    ):
         _note_loss(s, j, ends)
     if s.wanted & tracked.WANT_AFTER:
         _note_squared_forces(s, j, ends)
@@ -483,10 +490,10 @@ def _note_approaches(s, j, ends):
         if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[m]:
             lane.touched[face] = 1.0
         if place >= 0.0:
-            lane.regained = lane.touches
+            lane.retouches_at_value = lane.retouches
         if s.rigged and place >= 0.0:
             lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
-            lane.chatter = lane.touches
+            lane.retouches_at_peak = lane.retouches
 
 
 #: functions of both faces whose largest values are followed
@@ -531,7 +538,7 @@ def _note_impulse(s, j, theta):
     """
     lane = s.lane[j]
     impulse = 0.5 * (s.step_impulse[j] + s.step_impulse[LANES + j])
-    if lane.touching or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
+    if lane.from_touch or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
         impulse = 0.0
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):

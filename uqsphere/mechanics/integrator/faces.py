@@ -116,7 +116,7 @@ def switch(s, m):
     """
     j = m % LANES
     s.lane[j].by_law = 1
-    s.error[j] = min(s.error[j], s.closer * s.local)
+    s.error[j] = min(s.error[j], s.yielded_share * s.local)
     if s.spring[m] > 0.0:
         press_on(s, m)
         s.x[0, m] = s.largest[m] - s.dent[m]

@@ -66,7 +66,7 @@ def enter_piece(s, j, rows):
 def next_break(s, j, rows):
     """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
     lane = s.lane[j]
-    best = lane.end
+    best = lane.horizon
     r = lane.number
     near = now(lane)
     for k in range(rows.breaks.shape[1]):
@@ -88,7 +88,7 @@ def reflect_break(s, j):
     lane = s.lane[j]
     for bar in range(2):
         back = lane.time + lane.trips[bar]
-        if back < lane.end:
+        if back < lane.horizon:
             if lane.tail[bar] - lane.head[bar] >= QUEUE:
                 return False
             s.queue[bar, j, lane.tail[bar] % QUEUE] = back
@@ -129,7 +129,7 @@ def echo_steps(s, j, past):
             k += 1
         lane.first[bar] = k
         # no more than two steps at once: a wave that took many steps to make is not smooth
-        if not lane.single:
+        if not lane.one_step_echo:
             k = min(k + 1, newest)
         h = min(h, max(step_end(s, j, past, k) - begin, 0.1 * h))
     for bar in range(2):

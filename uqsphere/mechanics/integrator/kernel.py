@@ -15,9 +15,13 @@ lane one step:
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
     events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
-    go on     the next state (`_move_on`) and length (`_propose`), the end of the record (`_fate`),
-              the next jump of the waves (`_jump`); whether anything is left to learn, and room for
-              it (`_judge`); a lane that is done leaves (`_leave`)
+    go on     the next state (`_move_on`) and length (`_propose`), the next jump of the waves
+              (`_jump`); whether the record ends there (`_fate`): then the lane leaves (`_leave`)
+
+Names that mean the same everywhere: `s`, all lanes (`tracked.STATE`); `j`, the number of a lane,
+and `lane`, what it knows (`tracked.LANE`); `face`, 0 at A and 1 at B, and `m`, its column in the
+arrays of `s`, face LANES + j; `past`, the steps that are read again; `theta`, a share of the trial
+step, whose length is s.h[j]; `ending`, the share at which the step ends.
 
 A record ends at the horizon; between infinite bars without one, once the pulse is over, when both
 forces are below a share of the largest for the first time; of a rig once no gap can close
@@ -26,8 +30,7 @@ can grow under a steady wave, or by the energy that the bodies of a rig have lef
 (`records.no_later_peak`); or, at a loss of contact, no approach can (`records.no_higher_approach`)
 or no wave can press harder (`records.no_harder_squeeze`).
 
-What a lane knows are the fields of `tracked.LANE` and its columns of `tracked.STATE`, with their
-units and who writes them.
+`tracked` lists all fields with their units and who writes them.
 """
 
 from __future__ import annotations
@@ -111,9 +114,7 @@ def march(rows, order, state, past, paths, out):
                 _keep(s, j, ending, past)
                 if s.wanted & tracked.WANT_MOTION and lane.count <= paths.shape[1]:
                     _give_out(s, j, ending, paths[lane.place_in_order, lane.count - 1])
-                if _go_on(s, j, ending, past):
-                    _jump(s, j, rows)
-                _judge(s, j)
+                _go_on(s, j, ending, past, rows)
             if lane.fate != GOES_ON:
                 _leave(s, j, past, out)
             live += lane.number >= 0
@@ -135,7 +136,7 @@ def _leave(s, j, past, out):
         lane.ended = incoming.step_end(s, j, past, lane.count - 1)
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
-    if not s.rigged and lane.end == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+    if not s.rigged and lane.horizon == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     records.note_loading(s, j, left)
     records.finish(s, j, past, out[r])
@@ -159,7 +160,7 @@ def _enter(s, j, r, rows):
     s.inverse_mu[j] = 1.0 / rows.mass[r]
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
-    lane.end = rows.horizon[r]
+    lane.horizon = rows.horizon[r]
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
     quickest = max(1.0 / rows.mass[r], 1.0)
     stiffest = 1.0
@@ -190,8 +191,8 @@ def _enter(s, j, r, rows):
         stiffest = max(stiffest, pole.stiffness)
     lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
     lane.quickest = quickest * stiffest
-    lane.back = min(lane.trips[0], lane.trips[1])
-    if pulse_end == inf and lane.back == inf:
+    lane.first_echo = min(lane.trips[0], lane.trips[1])
+    if pulse_end == inf and lane.first_echo == inf:
         lane.steady = 1.0
     _jump(s, j, rows)  # at first touch the waves begin
     if s.rigged and closes <= 0.0:
@@ -220,7 +221,7 @@ def _waves(s, past):
             s.h[j] = s.h[LANES + j] = 0.0
             continue
         _try_step(s, j)
-        heard = incoming.heard(lane, lane.back)
+        heard = incoming.heard(lane, lane.first_echo)
         if heard:
             incoming.echo_steps(s, j, past)
         incoming.incident(s, j)
@@ -241,13 +242,13 @@ def _try_step(s, j):
     lane = s.lane[j]
     scale = min(s.size[j], s.size[LANES + j])
     largest = max(s.size[j], s.size[LANES + j])
-    if lane.touching:
+    if lane.from_touch:
         brief = (_BY_FORCE * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
         # the wave that presses may bend over what is left up to its next jump
         bend = min(_BY_WAVE * s.error[j], _ARCH)
-        smooth = 0.5 * math.sqrt(math.sqrt(bend)) * (lane.stop - lane.time)
+        smooth = 0.5 * math.sqrt(math.sqrt(bend)) * (lane.next_jump - lane.time)
         lane.proposed = min(lane.proposed, min(brief, smooth))
-    s.h[j] = min(min(lane.proposed, lane.stop - lane.time), lane.back)
+    s.h[j] = min(min(lane.proposed, lane.next_jump - lane.time), lane.first_echo)
     s.h[LANES + j] = s.h[j]
     # impulse by which a step may err because the series of its root has parted from the root
     allowed = inf
@@ -263,15 +264,15 @@ def _try_step(s, j):
     if s.mode == LINEAR:
         s.wrong_allowed[j] = inf
     # `faint` is the error of an approach, less than the tolerance; in a row that is looked at again
-    # all steps may err one way.  Below `near` a loss of contact is looked for; only a face that has
-    # been well above what is faint (`touched`) can lose it
+    # all steps may err one way.  Below `loss_level` a loss of contact is looked for; only a face
+    # that has been well above what is faint (`touched`) can lose it
     steps = 0
     if s.tolerance < s.requested:
         steps = lane.count
     lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
-    lane.near = max(lane.faint, max(_ADDED_UP * s.error[j], s.requested) * scale)
+    lane.loss_level = max(lane.faint, max(_ADDED_UP * s.error[j], s.requested) * scale)
     if s.rigged and not math.isnan(lane.lost):
-        lane.near = 0.0  # only the first loss of contact is an answer of its own
+        lane.loss_level = 0.0  # only the first loss of contact is an answer of its own
 
 
 # --- series
@@ -297,14 +298,14 @@ def _series(s):
 
 @compiled
 def _choose(s, j):
-    """The share of the trial step that is taken: it ends at `stop`, or halfway to it where little
-    would be left.
+    """The share of the trial step that is taken: it ends at `next_jump`, or halfway to it where
+    little would be left.
     """
     lane = s.lane[j]
-    lane.why = End.SERIES
+    lane.ended_by = End.SERIES
     theta = min(s.theta[j], 1.0)
-    left = lane.stop - lane.time
-    if lane.touching:
+    left = lane.next_jump - lane.time
+    if lane.from_touch:
         theta = 1.0
         s.wrong_allowed[j] = inf
         events.step_from_touch(s, j)
@@ -328,9 +329,9 @@ def _holds(s, j):
     if lane.attempts > ATTEMPTS:
         lane.fate = tracked.STUCK
         return False
-    if lane.by_law and not lane.touching and _change_branch(s, j):
+    if lane.by_law and not lane.from_touch and _change_branch(s, j):
         return False
-    if lane.touching:
+    if lane.from_touch:
         reached = within_spring(s, j)
         if reached < 1.0:
             lane.proposed = reached * s.h[j]
@@ -351,8 +352,8 @@ def _holds(s, j):
         # a wave bends where the step that sent it ends: it is tried again up to there, then shorter
         lane.proposed = 0.5 * s.h[j]
         joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
-        if joints > 0 and not lane.single:
-            lane.single = 1
+        if joints > 0 and not lane.one_step_echo:
+            lane.one_step_echo = 1
             lane.proposed = s.h[j]
     if lane.proposed <= 1e-15 * (1.0 + lane.time):
         lane.fate = tracked.STUCK
@@ -411,7 +412,7 @@ def _keep(s, j, ending, past):
                 step.path[face, k] = s.x[k, m]
     for bar in range(2):
         m = bar * LANES + j
-        if lane.time + lane.trips[bar] < lane.end:
+        if lane.time + lane.trips[bar] < lane.horizon:
             for k in range(TERMS):
                 step.wave[k, bar] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
 
@@ -441,68 +442,67 @@ def _give_out(s, j, ending, path):
 
 
 @compiled(inline=True)
-def _go_on(s, j, ending, past):
-    """The state from which the next step of a lane starts, or the end of its row; whether the waves
-    jump.
+def _go_on(s, j, ending, past, rows):
+    """The state from which the next step of a lane starts, or the end of its row.
+
+    The state moves on before the time: what it asks of echoes is as of the start of the step.  The
+    next touch is looked for from the new state and time; the fate of the row depends on it.
     """
     lane = s.lane[j]
     ahead = nan
-    at_stop = s.h[j] * s.theta[j] >= (lane.stop - lane.time) * (1.0 - 1e-10)
-    at_stop = at_stop and lane.why < End.CONTACT
+    at_jump = s.h[j] * s.theta[j] >= (lane.next_jump - lane.time) * (1.0 - 1e-10)
+    at_jump = at_jump and lane.ended_by < End.CONTACT
     _move_on(s, j, ending)
     if lane.time + ending * s.h[j] > lane.time:
         lane.attempts = 0
     lane.time += ending * s.h[j]
-    if at_stop:
-        lane.time = lane.stop
-    if s.rigged and not lane.touching:
+    if at_jump:
+        lane.time = lane.next_jump
+    if s.rigged and not lane.from_touch:
         ahead = records.next_touch(s, j, past)
-    _propose(s, j, ending, at_stop, ahead)
-    lane.fate = _fate(s, j, ending, at_stop, ahead, past)
-    return at_stop and lane.fate == GOES_ON
+    _propose(s, j, ending, at_jump, ahead)
+    if at_jump and lane.time < lane.horizon:
+        _jump(s, j, rows)
+    lane.fate = _fate(s, j, ending, at_jump, ahead, past)
 
 
 @compiled(inline=True)
-def _fate(s, j, ending, at_stop, ahead, past):
-    """Status with which the row of a lane ends where it stands now, or `GOES_ON`."""
+def _fate(s, j, ending, at_jump, ahead, past):
+    """Status with which the row of a lane ends where it stands now, or `GOES_ON`: every rule by
+    which a record ends, and the room for it.
+    """
     lane = s.lane[j]
-    if lane.why == End.RECORD:
+    # in the tail between infinite bars; in a rig whose gaps never close again
+    if lane.ended_by == End.RECORD or ahead == inf:
         return tracked.OK
-    if ahead == inf:
-        return tracked.OK
-    left = lane.why == End.CONTACT and not lane.touching
+    # at a loss of contact between bars, behind which nothing larger can come
+    left = lane.ended_by == End.CONTACT and not lane.from_touch
     if left and s.stop_at_loss and not s.rigged:
         records.note_loading(s, j, 0.0)
         if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past):
             return tracked.OK
-    if at_stop and lane.time >= lane.end:
+    if at_jump and lane.time >= lane.horizon:
         if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
             return tracked.STILL_PRESSED
         return tracked.OK
-    return GOES_ON
-
-
-@compiled(inline=True)
-def _judge(s, j):
-    """Whether nothing that is wanted can change any more, or there is no more room."""
-    lane = s.lane[j]
-    if lane.fate != GOES_ON:
-        return
+    if lane.fate != GOES_ON:  # too many jumps under way
+        return lane.fate
+    # once the waves are steady, where nothing that is wanted can change any more
     may_end = s.rigged or lane.steady >= 0.0
-    if may_end and not lane.touching and records.no_later_peak(s, j):
-        lane.fate = tracked.OK
-        return
+    if may_end and not lane.from_touch and records.no_later_peak(s, j):
+        return tracked.OK
     # the first step that is read again: of the whole path, or of the waves of a round trip
     oldest = lane.count
     if s.wanted & tracked.WHOLE_PATH:
         oldest = 0
     for bar in range(2):
-        if lane.trips[bar] < inf and lane.time < lane.end:
+        if lane.trips[bar] < inf and lane.time < lane.horizon:
             oldest = min(oldest, max(lane.first[bar], 0))
     if lane.count >= LIMIT:
-        lane.fate = tracked.TOO_MANY_STEPS
-    elif lane.count - oldest >= s.capacity:
-        lane.fate = tracked.FULL_ROOM
+        return tracked.TOO_MANY_STEPS
+    if lane.count - oldest >= s.capacity:
+        return tracked.FULL_ROOM
+    return GOES_ON
 
 
 @compiled
@@ -514,19 +514,19 @@ def _move_on(s, j, ending):
     s.u[0, j] = s.u[0, LANES + j] = s.u_at_end[j]
     for m in range(j, PAIR, LANES):
         s.x[0, m] = s.at[POINTS, m]
-    lane.touching = 0
-    lane.single = 0
-    if lane.why == End.CONTACT:
+    lane.from_touch = 0
+    lane.one_step_echo = 0
+    if lane.ended_by == End.CONTACT:
         if closes:
-            lane.touching = 1
-            lane.touches = lane.touches + 1.0
+            lane.from_touch = 1
+            lane.retouches = lane.retouches + 1.0
         else:
             lane.parted = lane.time + ending * s.h[j]
     for m in range(j, PAIR, LANES):
         if m == side or s.mode == MASSLESS:  # both faces move alike
-            if lane.why == End.CONTACT:
+            if lane.ended_by == End.CONTACT:
                 s.x[0, m] = 0.0
-            elif lane.why == End.BRANCH:
+            elif lane.ended_by == End.BRANCH:
                 switch(s, m)
     if s.rigged:
         for m in range(j, PAIR, LANES):
@@ -540,24 +540,24 @@ def _move_on(s, j, ending):
     s.u_size[j] = max(s.u_size[j], abs(s.u[0, j]))
     if lane.by_law:
         press_deeper(s, j)
-    if not incoming.heard(lane, lane.back):
+    if not incoming.heard(lane, lane.first_echo):
         for face in range(2):
             lane.x_first[face] = largest_approach(s, face * LANES + j)
 
 
 @compiled(inline=True)
-def _propose(s, j, ending, at_stop, ahead):
+def _propose(s, j, ending, at_jump, ahead):
     """How long the next step may be; ahead: `records.next_touch`, NaN while a face is pressed."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
     before = 0.0
     growth = GROWTH
-    if ending == 1.0 and not at_stop:
+    if ending == 1.0 and not at_jump:
         before = lane.proposed
-    if incoming.heard(lane, lane.back):
+    if incoming.heard(lane, lane.first_echo):
         growth = GROWTH_ECHO
     lane.proposed = max(ending * s.h[j] * growth, before)
-    if lane.why == End.BRANCH:  # a face on its other branch moves on as smoothly as before
+    if lane.ended_by == End.BRANCH:  # a face on its other branch moves on as smoothly as before
         lane.proposed = max(lane.proposed, s.h[j])
     if 0.0 < ahead < inf:  # free flight is linear in time: one step to the touch, or an echo's
         lane.proposed = 1.001 * ahead
@@ -565,12 +565,12 @@ def _propose(s, j, ending, at_stop, ahead):
 
 @compiled
 def _jump(s, j, rows):
-    """Go on from a jump of the waves, unless too many of them are under way."""
+    """Go on from first touch, or from a jump of the waves, unless too many are under way."""
     lane = s.lane[j]
     lane.proposed *= GROWTH
     incoming.enter_piece(s, j, rows)
-    if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.back == inf:
+    if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.first_echo == inf:
         lane.steady = 0.0
     if not incoming.reflect_break(s, j):
         lane.fate = tracked.CROWDED
-    lane.stop = incoming.next_break(s, j, rows)
+    lane.next_jump = incoming.next_break(s, j, rows)

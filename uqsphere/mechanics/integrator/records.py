@@ -140,7 +140,7 @@ def _stays_open_or_leaps(s, j, bar, past, ahead):
         if holds > closes:
             trips = max(trips, 1.0 + 2.0 * (1.0 - closes / holds) / (1.0 - end))
     never = trips > _FOREVER
-    trips = min(min(trips, _FOREVER), min(ahead, lane.end - lane.time) / trip)
+    trips = min(min(trips, _FOREVER), min(ahead, lane.horizon - lane.time) / trip)
     whole = math.ceil(trips) - 1
     if whole < 1 or (never and ahead == inf):
         return never
@@ -168,7 +168,7 @@ def _leap(s, j, bar, past, length, left):
         for k in range(TERMS):
             earlier.wave[k, bar] *= left
     lane.time += length
-    lane.stop = min(lane.stop + length, lane.end)
+    lane.next_jump = min(lane.next_jump + length, lane.horizon)
 
 
 @compiled
@@ -181,7 +181,7 @@ def _bound_waves(s, j, bar, past):
     """
     lane = s.lane[j]
     trip = lane.trips[bar]
-    least = max(trip / (CELLS - 2.0), 2.0 * (lane.end - lane.time) / _MOST_CELLS)
+    least = max(trip / (CELLS - 2.0), 2.0 * (lane.horizon - lane.time) / _MOST_CELLS)
     newest = lane.count - 1
     count = 0
     start = lane.time
@@ -196,7 +196,7 @@ def _bound_waves(s, j, bar, past):
         n += 1
     for step in range(n, newest + 1):
         earlier = past[j, step & (s.ring - 1)]
-        if earlier.began + trip >= lane.end:
+        if earlier.began + trip >= lane.horizon:
             break
         first = max(begin - earlier.began, 0.0) / earlier.unit
         last = earlier.holds / earlier.unit
@@ -338,7 +338,7 @@ def _stays_below(s, j, squeeze, largest, stiffness):
         s.cell_weight[bar] = lane.reflect[bar]
         alike = alike and (s.cells[bar] == 0 or lane.reflect[bar] == 1.0)
     for _ in range(_MOST_CELLS):
-        until = lane.end
+        until = lane.horizon
         drive = 0.0
         for bar in range(2):
             if s.cells[bar] > 0:
@@ -349,7 +349,7 @@ def _stays_below(s, j, squeeze, largest, stiffness):
             time = until
         if squeeze > largest:
             return False
-        if time >= lane.end:
+        if time >= lane.horizon:
             return True
         wrapped = False
         for bar in range(2):
@@ -444,7 +444,7 @@ def _stays_pressed(s, j):
     """
     lane = s.lane[j]
     b = LANES + j
-    low = lane.low
+    low = lane.record_level
     least = min(s.x[0, j], s.x[0, b])
     if not (low > 0.0 and least > 0.0 and lane.mass < _LIGHT and s.spring[j] == s.spring[b]):
         return False
@@ -551,7 +551,7 @@ def finish(s, j, past, out):
         out.rise = first_at(s, j, past, top * 0.9**power) - tenth
     out.ended = lane.ended
     out.unloadings = lane.unloadings
-    out.touches = lane.chatter
-    out.regained = lane.regained
+    out.touches = lane.retouches_at_peak
+    out.regained = lane.retouches_at_value
     if s.rigged:
-        out.regained = lane.touches
+        out.regained = lane.retouches

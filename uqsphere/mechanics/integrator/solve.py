@@ -313,7 +313,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     from .kernel import march
 
     wanted = task.wanted
-    local, closer = _local_errors(task, bool(np.isfinite(rows.horizon).all()))
+    local, yielded_share = _local_errors(task, bool(np.isfinite(rows.horizon).all()))
     power = 2.0 / 3.0
     if task.mode == tracked.LINEAR:
         power = 1.0
@@ -323,7 +323,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     paths = [np.empty(0, tracked.PATH)] * len(answers)
     settings = vars(task) | {
         "local": local,
-        "closer": closer,
+        "yielded_share": yielded_share,
         "tail": tracked.TAIL_SHARE**power,
         "lanes": tracked.LANES,
         "side_sign": np.repeat([1.0, -1.0], tracked.LANES),
@@ -551,7 +551,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
     answers["doubt"] = 0.0
     # many steps add errors up, and each contact that is found again throws the sphere by its own
     compared = answers["steps"] > _MANY_STEPS
-    echoing = np.isfinite(rows.round_trips).any(axis=1)
+    echoing = np.asarray(np.isfinite(rows.round_trips).any(axis=1))
     if not wanted & ~(tracked.WANT_DURATION | tracked.WANT_MEAN):
         compared &= echoing
     compared |= answers["regained"] > 0.0
@@ -593,7 +593,8 @@ def _undecided(answers: Any, task: Task) -> Flags:
         asked = task.wanted & tracked.BY_LOSS
     lost = np.nan_to_num(answers["contact"])
     moved = np.fmax(lost - answers["grazed"], blur)
-    return (asked != 0) & (moved > _FIRM * task.requested * lost)
+    too_far: Flags = moved > _FIRM * task.requested * lost
+    return too_far & (asked != 0)
 
 
 def _differences(before: Any, after: Any, task: Task) -> dict[str, Array]:

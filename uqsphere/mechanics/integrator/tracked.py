@@ -226,11 +226,11 @@ LANE = np.dtype(
             "place_in_order",  # its place among the rows asked for; march
             "count",  # steps taken; keep
             "attempts",  # steps tried since the time last rose; holds, go_on
-            "fate",  # status it leaves with, or -1; enter, holds, go_on, judge, jump
+            "fate",  # status it leaves with, or -1; enter, holds, go_on, jump
             # the step
-            "touching",  # 1 where it starts from a touch; enter, move_on
-            "single",  # 1: an echo is read from one step; enter, holds, move_on
-            "why",  # what ends it, see End; choose, after_step
+            "from_touch",  # 1 where it starts from a touch; enter, move_on
+            "one_step_echo",  # 1: an echo is read from one step; enter, holds, move_on
+            "ended_by",  # what ends it, see End; choose, after_step
             "side",  # at which face; after_step
             # the faces: law, branch, and what stands at the pole
             "by_law",  # 1 where a force is no longer x^(3/2); enter, switch
@@ -241,20 +241,20 @@ LANE = np.dtype(
             # the row
             "mass",  # mu; enter
             "quickest",  # how quickly the lightest body answers a force; enter
-            "end",  # t_c; end of the record at the latest; enter
+            "horizon",  # t_c; end of the record at the latest; enter
             "pulse_end",  # t_c; end of the incident pulse; enter
-            "back",  # t_c; when the first echo is back; enter
+            "first_echo",  # t_c; when the first echo is back; enter
             # the step
             "time",  # t_c; where it starts; go_on
             "proposed",  # t_c; what to try next; enter, try_step, holds, go_on, jump
-            "stop",  # t_c; next jump of the waves, or the end; enter, jump
+            "next_jump",  # t_c; next jump of the waves, or the end; enter, jump
             # the waves
             "frequency",  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
             "offset",  # t_c; where the piece of the pulse begins; enter_piece
             "steady",  # what runs in for ever, -1 while it may change; enter, jump
             # what is followed
-            "low",  # approach below which the record ends, 0: none; after_step
-            "near",  # approach below which a contact may be lost; try_step
+            "record_level",  # approach below which the record ends, 0: none; after_step
+            "loss_level",  # approach below which a contact may be lost; try_step
             "faint",  # error of an approach; try_step
             "impulse",  # integral of the mean force; after_step
             "duration",  # t_c; impulse over peak of the mean force; note_loading
@@ -267,9 +267,9 @@ LANE = np.dtype(
             "blur",  # t_c; how far the error of the approach moves it; after_step
             "parted",  # t_c; last loss of contact; move_on
             "ended",  # t_c; end of the record; after_step, leave
-            "touches",  # contacts found again; move_on
-            "regained",  # those before a largest value; after_step
-            "chatter",  # those before the largest approach; after_step
+            "retouches",  # contacts found again; move_on
+            "retouches_at_value",  # those before a largest value; after_step
+            "retouches_at_peak",  # those before the largest approach; after_step
             "unloadings",  # of faces that yield; switch
         ),
         *_fields(
@@ -303,7 +303,7 @@ _AT_START = {
     "fate": GOES_ON,
     "trips": np.inf,
     "proposed": 1e30,
-    "touching": 1,
+    "from_touch": 1,
     "steady": -1.0,
     **dict.fromkeys(("lost", "ended", "parted", "duration", "grazed"), np.nan),
 }
@@ -422,7 +422,7 @@ STATE = np.dtype(
             "tolerance",  # of this look at the rows
             "requested",  # of the answers
             "local",  # error allowed in one step
-            "closer",  # share of it once a face has yielded
+            "yielded_share",  # share of it once a face has yielded
         ),
         ("cell_end", "f8", (2, CELLS)),  # t_c; ends of the cells of waves under way; records
         ("cells", "i8", 2),  # how many of them; records
