@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import field, replace
+from dataclasses import field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -170,7 +170,7 @@ def trace(
     if scene.by_wave and not scene.whole_record:
         # the window that a batch has for this row
         answers = solve(
-            replace(scene.at(slice(row, row + 1)), demands={}),
+            scene.at(slice(row, row + 1)),
             fidelity=fidelity,
             tolerance=tolerance,
             threads=1,

@@ -92,18 +92,9 @@ def softer(one: ContactParameters, other: ContactParameters) -> ContactParameter
     return ContactParameters._make(np.where(first, a, b) for a, b in pairs)
 
 
-class FirstLoading(NamedTuple):
-    """Formulas of first loading, functions of z = alpha/alpha_y, b and C; see `Face`."""
-
-    force: Formula
-    slope: Formula
-    area: Formula
-    area_shape: Formula
-    work: Formula
-
-
-def first_loading(select: Formula, compiled: Formula) -> FirstLoading:
-    """The formulas (C4) to (C7), stated once for arrays and for the compiled integrator.
+def first_loading(select: Formula, compiled: Formula) -> tuple[Formula, ...]:
+    """The formulas (C4) to (C7), stated once for arrays and for the compiled integrator: force,
+    slope, area, its g, and work, functions of z = alpha/alpha_y, b and C.
 
     select: function of (condition, a, b) that returns a where the condition holds, else b:
     `np.where` for arrays.  compiled: decorator of every formula.
@@ -169,10 +160,10 @@ def first_loading(select: Formula, compiled: Formula) -> FirstLoading:
         beyond = 0.4 + 2.0 * s + 4.0 * s**2 + 4.0 * s**3 + 1.5 * s**4 + 6.0 * rest
         return select(z > 1.0, beyond, 0.4 * np.maximum(z, 0.0) ** 2.5)
 
-    return FirstLoading(force, slope, area, area_shape, work)
+    return force, slope, area, area_shape, work
 
 
-_FIRST_LOADING = first_loading(np.where, quiet)
+_force, _slope, _area, _, _work = first_loading(np.where, quiet)
 
 
 class Press(NamedTuple):
@@ -242,19 +233,19 @@ class Face:
 
     def force(self, depth: Array) -> Values:
         """L = P/P_y at z on first loading, (C5); Hertz below onset."""
-        return _FIRST_LOADING.force(depth, self.softening)
+        return _force(depth, self.softening)
 
     def slope(self, depth: Array) -> Values:
         """dL/dz on first loading, (C4)."""
-        return _FIRST_LOADING.slope(depth, self.softening)
+        return _slope(depth, self.softening)
 
     def area(self, depth: Array) -> Values:
         """A = a²/(r_eff alpha_y) at z on first loading, (C6)."""
-        return _FIRST_LOADING.area(depth, self.softening, self.pile_up)
+        return _area(depth, self.softening, self.pile_up)
 
     def work(self, depth: Array) -> Values:
         """W = the integral of L from 0 to z, (C7), in P_y alpha_y."""
-        return _FIRST_LOADING.work(depth, self.softening)
+        return _work(depth, self.softening)
 
     def depth_at(self, force: Array) -> Array:
         """z at which first loading reaches the force P [N]."""

@@ -24,7 +24,7 @@ import numpy as np
 
 from . import tracked
 from .compiled import compiled
-from .faces import ARMED, approach_at, face_force, face_yielded, stored_energy, tail_level
+from .faces import ARMED, approach_at, face_force, face_yielded, higher, stored_energy, tail_level
 from .lanes import OF_POWERS
 from .tracked import (
     DIFFERENCE,
@@ -398,7 +398,7 @@ def _note_graze(s, j, face, ends):
 @compiled
 def _both_below(s, j, level, end):
     """First theta in [0, end] at which both approaches lie below `level`, or inf."""
-    if max(s.floor[j], s.floor[LANES + j]) >= level:
+    if higher(s.floor, j) >= level:
         return inf
     at = 0.0
     for _ in range(8 * POINTS):
@@ -457,7 +457,6 @@ def after_step(s, j):
         if at <= ends:
             ends = at
             lane.ended_by = End.RECORD
-            lane.ended = lane.time + at * s.h[j]
             _end_sooner(s, j, ends)
     if (
         lane.ended_by == End.CONTACT
@@ -538,7 +537,7 @@ def _note_impulse(s, j, theta):
     """
     lane = s.lane[j]
     impulse = 0.5 * (s.step_impulse[j] + s.step_impulse[LANES + j])
-    if lane.from_touch or 50.0 * lane.impulse < max(s.size[j], s.size[LANES + j]):
+    if lane.from_touch or 50.0 * lane.impulse < higher(s.size, j):
         impulse = 0.0
         for m in range(j, PAIR, LANES):
             for i in range(WAVE):
@@ -573,7 +572,7 @@ def first_at(s, j, past, level):
         earlier = past[j, n]
         if earlier.crest < level:
             continue
-        end = min(earlier.holds, lane.ended - earlier.began) / earlier.unit
+        end = earlier.holds / earlier.unit
         best = inf
         for face in range(2):
             m = face * LANES + j

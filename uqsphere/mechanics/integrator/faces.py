@@ -50,6 +50,18 @@ _virgin_force, _virgin_slope, _virgin_area, _area_shape, _ = first_loading(_sele
 
 
 @compiled
+def lower(column, j):
+    """The lower number of both faces of a lane."""
+    return min(column[j], column[LANES + j])
+
+
+@compiled
+def higher(column, j):
+    """The higher number of both faces of a lane."""
+    return max(column[j], column[LANES + j])
+
+
+@compiled
 def new_face(s, m, pole):
     """A face before anything has yielded; pole: tracked.POLE, onset inf where it stays elastic."""
     _be_spring(s, m, pole.stiffness)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from .compiled import compiled
+from .faces import lower
 from .lanes import WAVE_THETAS
 from .tracked import LANES, ORDER, QUEUE, TERMS, WAVE
 
@@ -166,4 +167,4 @@ def read_echo(s, j, bar, past):
             s.echo[i, m] = value
             i += 1
     s.returns[m] = 2.0 * lane.reflect[bar]
-    s.negligible[m] = 0.1 * s.error[j] * min(s.size[j], s.size[LANES + j]) / s.h[j]
+    s.negligible[m] = 0.1 * s.error[j] * lower(s.size, j) / s.h[j]

@@ -43,7 +43,9 @@ from .compiled import compiled
 from .faces import (
     MOST_SWITCHES,
     face_force,
+    higher,
     largest_approach,
+    lower,
     most_force,
     new_face,
     press_deeper,
@@ -132,11 +134,9 @@ def _leave(s, j, past, out):
     if lane.fate != tracked.OK:
         return
     out[r].steps = lane.count
-    if math.isnan(lane.ended):
-        lane.ended = incoming.step_end(s, j, past, lane.count - 1)
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
-    if not s.rigged and lane.horizon == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+    if not s.rigged and lane.horizon == inf and lower(s.x[0], j) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     records.note_loading(s, j, left)
     records.finish(s, j, past, out[r])
@@ -240,8 +240,8 @@ def _waves(s, past):
 def _try_step(s, j):
     """The trial step of a lane; the approaches below which a contact may be lost or nearly is."""
     lane = s.lane[j]
-    scale = min(s.size[j], s.size[LANES + j])
-    largest = max(s.size[j], s.size[LANES + j])
+    scale = lower(s.size, j)
+    largest = higher(s.size, j)
     if lane.from_touch:
         brief = (_BY_FORCE * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
         # the wave that presses may bend over what is left up to its next jump
@@ -336,20 +336,17 @@ def _holds(s, j):
         if reached < 1.0:
             lane.proposed = reached * s.h[j]
             return False
-    # the root's series has parted from the root; a series has overflowed; an echo is not fitted
-    crossed = s.excess[j] > 1.0
     sum_at_end = s.at[POINTS, j] + s.at[POINTS, LANES + j]
-    overflowed = not (s.theta[j] > 0.0 and abs(sum_at_end) < inf)
     left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
-    misfit = left_out > s.error[j] * min(s.size[j], s.size[LANES + j])
-    if not (crossed or overflowed or misfit):
-        return True
-    if crossed:
+    if s.excess[j] > 1.0:  # the root's series has parted from the root
         lane.proposed = 0.5 * s.theta[j] * s.h[j]
-    elif overflowed:
+    elif not (s.theta[j] > 0.0 and abs(sum_at_end) < inf):  # a series has overflowed
         lane.proposed = 0.05 * s.h[j]
+    elif not left_out > s.error[j] * lower(s.size, j):
+        return True
     else:
-        # a wave bends where the step that sent it ends: it is tried again up to there, then shorter
+        # an echo is not fitted: a wave bends where the step that sent it ends.  It is tried again
+        # up to there, then shorter
         lane.proposed = 0.5 * s.h[j]
         joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
         if joints > 0 and not lane.one_step_echo:
@@ -401,7 +398,7 @@ def _keep(s, j, ending, past):
     step.holds = ending * s.h[j]
     step.unit = s.h[j]
     if s.wanted & tracked.WANT_RISE:
-        step.crest = max(s.top[j], s.top[LANES + j])
+        step.crest = higher(s.top, j)
         if s.has_laws:
             step.crest = most_force(s, j)
         for face in range(2):
@@ -482,7 +479,7 @@ def _fate(s, j, ending, at_jump, ahead, past):
         if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past):
             return tracked.OK
     if at_jump and lane.time >= lane.horizon:
-        if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+        if s.rigged and higher(s.x[0], j) > 0.0:
             return tracked.STILL_PRESSED
         return tracked.OK
     if lane.fate != GOES_ON:  # too many jumps under way

@@ -38,7 +38,7 @@ from math import inf, nan
 from . import tracked
 from .compiled import compiled
 from .events import NODES, OF_BOTH, WEIGHTS, first_at, follows, highest_between, rise_of
-from .faces import largest_approach, largest_force, stored_energy
+from .faces import higher, largest_approach, largest_force, lower, stored_energy
 from .incoming import step_end
 from .tracked import (
     CELLS,
@@ -73,7 +73,7 @@ def next_touch(s, j, past):
     round trip as long as an echo may close one, NaN while a face is pressed.
     """
     lane = s.lane[j]
-    if max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+    if higher(s.x[0], j) > 0.0:
         return nan
     ahead = inf
     for face in range(2):
@@ -445,7 +445,7 @@ def _stays_pressed(s, j):
     lane = s.lane[j]
     b = LANES + j
     low = lane.record_level
-    least = min(s.x[0, j], s.x[0, b])
+    least = lower(s.x[0], j)
     if not (low > 0.0 and least > 0.0 and lane.mass < _LIGHT and s.spring[j] == s.spring[b]):
         return False
     stiffness = 1.0
@@ -510,6 +510,7 @@ def note_loading(s, j, left):
 def finish(s, j, past, out):
     """Answers of a row that has ended, in scaled variables."""
     lane = s.lane[j]
+    ended = step_end(s, j, past, lane.count - 1)
     for face in range(2):
         m = face * LANES + j
         out.x[face] = largest_approach(s, m)
@@ -530,14 +531,14 @@ def finish(s, j, past, out):
         out.stored_sphere = lane.peak[SPHERE_ENERGY]
     out.duration = lane.duration
     out.counted = lane.counted
-    out.contact = lane.ended
+    out.contact = ended
     out.contact_censored = 1.0
     if not math.isnan(lane.lost):
         out.contact = lane.lost
         out.contact_censored = 0.0
     out.blur = lane.blur
     out.grazed = lane.grazed
-    out.parting = lane.ended
+    out.parting = ended
     if not math.isnan(lane.parted):
         out.parting = lane.parted
     if s.wanted & tracked.WANT_RISE:
@@ -549,7 +550,7 @@ def finish(s, j, past, out):
             power = 1.0
         tenth = first_at(s, j, past, top * 0.1**power)
         out.rise = first_at(s, j, past, top * 0.9**power) - tenth
-    out.ended = lane.ended
+    out.ended = ended
     out.unloadings = lane.unloadings
     out.touches = lane.retouches_at_peak
     out.regained = lane.retouches_at_value

@@ -502,7 +502,7 @@ def later_loading(scene: Scene, *, tolerance: float = 1e-4) -> Array:
         return np.where(scene.status == 0, 1.0, np.nan)
     peaks = [
         solve(
-            replace(scene, whole_record=whole, demands={}),
+            replace(scene, whole_record=whole),
             tolerance=tolerance,
             quantities=("P_max",),
         ).values["P_max"]

@@ -266,7 +266,6 @@ LANE = np.dtype(
             "grazed",  # t_c; when an approach was first faint before it; after_step
             "blur",  # t_c; how far the error of the approach moves it; after_step
             "parted",  # t_c; last loss of contact; move_on
-            "ended",  # t_c; end of the record; after_step, leave
             "retouches",  # contacts found again; move_on
             "retouches_at_value",  # those before a largest value; after_step
             "retouches_at_peak",  # those before the largest approach; after_step
@@ -305,7 +304,7 @@ _AT_START = {
     "proposed": 1e30,
     "from_touch": 1,
     "steady": -1.0,
-    **dict.fromkeys(("lost", "ended", "parted", "duration", "grazed"), np.nan),
+    **dict.fromkeys(("lost", "parted", "duration", "grazed"), np.nan),
 }
 #: all lanes, and columns that go through vector instructions: (LANES,) of lanes; (PAIR,) of faces,
 #: the faces A of all lanes first
