@@ -46,7 +46,7 @@ from .estimate import (
     student,
     takes_few_values,
 )
-from .response import FOLDS, METHOD, MOST, ROUNDING, Response, unseen
+from .response import FOLDS, METHOD, ROUNDING, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
@@ -106,12 +106,13 @@ class Corrected:
         """The mean by (1)."""
         levels, sampling = self._table_moment(1)
         residuals = self.response.residuals
-        value, corrected = _settled(levels, residuals)
-        return self._estimate(value, *_ends(corrected, residuals, sampling))
+        corrected = levels.mean() + residuals.mean()
+        ends = _ends(corrected, residuals, sampling)
+        return self._estimate(_settled(np.median(levels), corrected, *ends), *ends)
 
-    def _estimate(self, value: float, low: float, high: float) -> Estimate:
+    def _estimate(self, value: Values, low: float, high: float) -> Estimate:
         """An estimate held between its ends; absent where one is not finite."""
-        value = min(max(value, low), high)
+        value = min(max(float(value), low), high)
         return bounded(value, low, high, 0.25 * (high - low), self.method, self.runs)
 
     def sd(self) -> Estimate:
@@ -123,11 +124,12 @@ class Corrected:
         centre = self._table_moment(1)[0].mean() + self.response.residuals.mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
-        value, variance = _settled(squares, influence)
-        ends = _ends(variance, influence, math.hypot(sampling, fold_spread(squares)))
+        corrected = squares.mean() + influence.mean()
+        ends = _ends(corrected, influence, math.hypot(sampling, fold_spread(squares)))
+        value = _settled(np.median(squares), corrected, *ends)
         rows = (outputs - outputs.mean()) ** 2
         alone = _ends(rows.mean(), rows)
-        if alone[1] - alone[0] < ends[1] - ends[0] or variance <= 0.0:
+        if alone[1] - alone[0] < ends[1] - ends[0] or corrected <= 0.0:
             value = rows.mean()
             ends = alone
         estimate = self._estimate(*np.sqrt(np.maximum([value, *ends], 0.0)))
@@ -264,25 +266,13 @@ def _ends(value: float, influence: Array, sampling: float = 0.0) -> Duo:
     return value - math.hypot(down, sampling), value + math.hypot(up, sampling)
 
 
-def _significant(correction: Values, noise: Values, n: int) -> Values:
-    """Corrections by n rows where they are significant at the level of the intervals, else 0: one
-    that noise of this variance could make by itself adds little but that noise.
+def _settled(expanded: Values, corrected: Values, low: Values, high: Values) -> Values:
+    """What the expansions give wherever the interval of (1) holds it, and what (1) gives elsewhere:
+    a correction that noise could make by itself adds little but that noise.
+
+    expanded : of means over folds the median: a fold that runs away does not count
     """
-    return np.where(correction**2 > student(n) ** 2 * noise, correction, 0.0)
-
-
-def _settled(levels: Array, influence: Array) -> Duo:
-    """The value of (1), and that with the whole correction: from what the folds have (K,) and what
-    each row adds (n,).
-
-    Without a significant correction the value is the median of the folds: one that runs away does
-    not count.
-    """
-    n = len(influence)
-    corrected = levels.mean() + influence.mean()
-    median = float(np.median(levels))
-    correction = _significant(corrected - median, influence.var(ddof=1) / n, n)
-    return median + float(correction), corrected
+    return np.where((low <= expanded) & (expanded <= high), expanded, corrected)
 
 
 def corrected_probability(
@@ -292,18 +282,15 @@ def corrected_probability(
     to a cell, corrected by influences (n, ...).
 
     expected : (...) variance that residuals like those of the rows make
-
-    The value has the correction where it is significant; the interval is that of the whole
-    correction.
     """
     n = len(influence)
-    middle = table.mean(axis=0)
-    correction = influence.mean(axis=0)
+    expanded = table.mean(axis=0)
+    corrected = expanded + influence.mean(axis=0)
     noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
     sampling = student(len(table)) * spreads(table, cell)
     half = np.hypot(student(n) * np.sqrt(noise), sampling)
-    low, high = np.clip(middle + correction + np.array([-half, half]), 0.0, 1.0)
-    return np.clip(middle + _significant(correction, noise, n), low, high), low, high
+    low, high = np.clip(corrected + np.array([-half, half]), 0.0, 1.0)
+    return np.clip(_settled(expanded, corrected, low, high), low, high), low, high
 
 
 # --- Sobol' indices -------------------------------------------------------------------------------
@@ -318,13 +305,13 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
     of all rows, each with its own fold (`_row_parts`); `_rests` has the last part of the numerator.
-    Where an index does not differ significantly from the median of the folds' S_f, the value is the
-    median.  Without expansions that can be trusted f is the mean.  Where the variance of the rows
-    may be infinite, every interval is from 0 to 1.
+    The value is the median of the folds' S_f wherever the interval holds it.  Where expansions do
+    not stand for the output f is the mean.  Where the variance of the rows may be infinite, every
+    interval is from 0 to 1.
     """
     y = response.outputs
     n = response.count
-    folds = response.trusted if response.error < 1.0 else ()
+    folds = response.trusted if response.usable else ()
     method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
     if not np.ptp(y) > 1e-14 * abs(y).max():
         reason = "the output does not vary with the inputs"
@@ -335,7 +322,6 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     least, most, error, likely = _rests(rows)
     values = rows.top.mean(axis=2) / whole
     influences = (rows.top - values[:, :, None] * rows.bottom) / whole
-    noise = influences.var(axis=2, ddof=1) / len(rows.bottom)
     reach = np.apply_along_axis(distances, 2, influences)
     further = np.hypot(np.hypot(fold_spread(rows.shares), error), rows.rounding)
     reach = np.hypot(reach, further[:, :, None])
@@ -345,9 +331,10 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     if reasons[0]:
         lows[:] = 0.0
         highs[:] = 1.0
-    expanded = np.median(rows.shares, axis=0)
-    best = expanded + _significant(values + likely - expanded, noise, n)
-    if response.error > MOST:
+    best = values + likely
+    if folds:
+        best = _settled(np.median(rows.shares, axis=0), best, lows, highs)
+    if not response.usable:
         # what changes from a row to its neighbours is in no block
         highs[0] = np.maximum(highs[0], highs[1])
     if not folds:
