@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Cells
+from uqsphere.arrays import Array, Cells, Values
 from uqsphere.errors import UqsphereError, UsageError
 from uqsphere.materials import materials_of
 from uqsphere.tables import Table
@@ -59,13 +59,13 @@ def particle_energies(
     elif name == "force":
         # E* of the contacts: as measured, or of intact rock
         if want.stiffness:
-            modulus = table.numbers(
+            modulus: Values = table.numbers(
                 want.stiffness, "pressure", want.stiffness_unit, key="stiffness"
             )
         else:
             bodies = filter(None, (material, partner))
             compliance = sum(1.0 / stiffness(body) for body in bodies)
-            modulus = np.full(len(energy), 1.0 / compliance)
+            modulus = 1.0 / compliance
             notes.append(
                 "the stiffness of intact rock is assumed: energies from the measured stiffness are "
                 "often 2 to 3 times larger"

@@ -179,24 +179,17 @@ def _odd_rows(table: Table, diameter: Array, energy: Array) -> list[str]:
     ln d.
     """
     least, most = lookup("sphere.radius").plausible
-    strange = (diameter < 2.0 * least) | (diameter > 2.0 * most)
-
-    def ask(rows: Flags, what: str) -> list[str]:
-        lines = ", ".join(map(str, table.lines[rows][:8]))
-        return [f"line {lines}: {what}: is its unit right?"]
-
-    if strange.any():
-        return ask(strange, "the size is unusual")
-    if len(table) < 8:
-        return []
-    x = np.log(diameter)
-    y = np.log(energy)
-    slope = 0.0
-    if np.ptp(x) > 0.05:
-        slope = np.polyfit(x, y, 1)[0]
-    left = y - slope * x
-    away = np.abs(left - np.median(left))
-    odd = away > 5.0 * max(1.4826 * np.median(away), 0.05)
+    odd = (diameter < 2.0 * least) | (diameter > 2.0 * most)
+    what = "the size is unusual"
+    if len(table) >= 8 and not odd.any():
+        x = np.log(diameter)
+        left = np.log(energy)
+        if np.ptp(x) > 0.05:
+            left -= np.polyfit(x, left, 1)[0] * x
+        away = np.abs(left - np.median(left))
+        odd = away > 5.0 * max(1.4826 * np.median(away), 0.05)
+        what = "the energy lies far from the others"
     if not odd.any():
         return []
-    return ask(odd, "the energy lies far from the others")
+    lines = ", ".join(map(str, table.lines[odd][:8]))
+    return [f"line {lines}: {what}: is its unit right?"]

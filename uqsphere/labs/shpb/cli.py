@@ -23,7 +23,7 @@ def _records(chosen: Namespace) -> int:
     several = len(chosen.file) > 1
     stems = [path.stem for path in chosen.file]
     home = os.path.commonpath([path.resolve().parent for path in chosen.file])
-    sources = dict[Path, str]()
+    records = dict[Path, str]()
     lines = []
     texts = []
     files = dict[str, str]()
@@ -35,8 +35,7 @@ def _records(chosen: Namespace) -> int:
         asked = load_document(path, RecordDocument)
         try:
             with named_by(path, "record"):
-                record = load_record(asked, path.parent)
-            test = read_test(record)
+                test = read_test(load_record(asked, path.parent))
         except UsageError as error:
             if not several:
                 raise
@@ -44,10 +43,10 @@ def _records(chosen: Namespace) -> int:
             contents.append({"file": str(path), "refused": str(error)})
             texts.append(f"{path}: refused: {error}")
             continue
-        source = (path.parent / asked.record.file).resolve()
-        if source in sources:
-            tell(f"{path.name}: the record of {sources[source]}: one test, two lines of tests.csv")
-        sources[source] = path.name
+        record = (path.parent / asked.record.file).resolve()
+        if record in records:
+            tell(f"{path.name}: the record of {records[record]}: one test, two lines of tests.csv")
+        records[record] = path.name
         if not chosen.json:
             for change in test.changes:
                 tell(f"{path.name}: {change.step}: {change.text}")

@@ -139,9 +139,8 @@ def _form_of(
 def _has_numbers(row: list[str], places: list[int], mark: str) -> bool:
     """Whether every place of a row has a number, not all of them missing."""
     numbers = [row[place] for place in places if place < len(row)]
-    if len(numbers) < len(places) or not any(numbers):
-        return False
-    return all(_is_number(cell, mark) for cell in numbers)
+    whole = len(numbers) == len(places) and any(numbers)
+    return whole and all(_is_number(cell, mark) for cell in numbers)
 
 
 def _is_number(cell: str, mark: str) -> bool:
