@@ -136,7 +136,7 @@ def _leave(s, j, past, out):
     out[r].steps = lane.count
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
-    if not s.rigged and lane.horizon == inf and lower(s.x[0], j) > 0.0:
+    if not s.rigged and lane.horizon == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     records.note_loading(s, j, left)
     records.finish(s, j, past, out[r])
@@ -479,7 +479,7 @@ def _fate(s, j, ending, at_jump, ahead, past):
         if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past):
             return tracked.OK
     if at_jump and lane.time >= lane.horizon:
-        if s.rigged and higher(s.x[0], j) > 0.0:
+        if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
             return tracked.STILL_PRESSED
         return tracked.OK
     if lane.fate != GOES_ON:  # too many jumps under way

@@ -38,7 +38,7 @@ from math import inf, nan
 from . import tracked
 from .compiled import compiled
 from .events import NODES, OF_BOTH, WEIGHTS, first_at, follows, highest_between, rise_of
-from .faces import higher, largest_approach, largest_force, lower, stored_energy
+from .faces import largest_approach, largest_force, stored_energy
 from .incoming import step_end
 from .tracked import (
     CELLS,
@@ -73,7 +73,7 @@ def next_touch(s, j, past):
     round trip as long as an echo may close one, NaN while a face is pressed.
     """
     lane = s.lane[j]
-    if higher(s.x[0], j) > 0.0:
+    if max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         return nan
     ahead = inf
     for face in range(2):
@@ -445,7 +445,7 @@ def _stays_pressed(s, j):
     lane = s.lane[j]
     b = LANES + j
     low = lane.record_level
-    least = lower(s.x[0], j)
+    least = min(s.x[0, j], s.x[0, LANES + j])
     if not (low > 0.0 and least > 0.0 and lane.mass < _LIGHT and s.spring[j] == s.spring[b]):
         return False
     stiffness = 1.0
