@@ -416,8 +416,8 @@ def test_an_index_of_folds_that_its_interval_holds_is_theirs(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [5, 6])
-def test_first_indices_by_blocks_where_expansions_do_not_stand_for_the_output(seed: int) -> None:
-    # expansions that leave half of the variance had them 0.19 and 0.25 off
+def test_first_indices_by_blocks_where_expansions_leave_more_than_they_explain(seed: int) -> None:
+    # the expansions had them 0.19 and 0.25 off
     assert largest_error("discontinuous", "first", seed) < 0.1
 
 

@@ -51,6 +51,9 @@ from .response import FOLDS, METHOD, ROUNDING, Response, unseen
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is
 NODES, PLACES = 17, 2048
+#: share of the variance: expansions that leave more than they explain tell less of an index than
+#: rows in blocks
+HALF = 0.5
 
 
 @bundle
@@ -305,13 +308,13 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
         S_j = E[S_f V_f + 2 r P_j + |P_j r|^2] / E[V_f + 2 r (f - m) + r^2]
 
     of all rows, each with its own fold (`_row_parts`); `_rests` has the last part of the numerator.
-    The value is the median of the folds' S_f wherever the interval holds it.  Where expansions do
-    not stand for the output f is the mean.  Where the variance of the rows may be infinite, every
-    interval is from 0 to 1.
+    The value is the median of the folds' S_f wherever the interval holds it.  Where expansions
+    leave more of the variance than they explain f is the mean.  Where the variance of the rows may
+    be infinite, every interval is from 0 to 1.
     """
     y = response.outputs
     n = response.count
-    folds = response.trusted if response.usable else ()
+    folds = response.trusted if response.error < HALF else ()
     method = f"{METHOD if folds else 'rows in blocks'}; {unseen(n)}"
     if not np.ptp(y) > 1e-14 * abs(y).max():
         reason = "the output does not vary with the inputs"
