@@ -595,7 +595,7 @@ def test_an_effect_on_the_unsafe_side_holds_only_what_is_met(
     assert verdicts._verdict(judged, caveats) == verdict
 
 
-LIMIT = SimpleNamespace(resistance=1.0, strength=1.0, quantity="y")
+LIMIT = SimpleNamespace(resistance=1.0, strength=1.0, quantity="y", subject="limits.whole")
 
 
 @pytest.mark.parametrize("verdict", ["not established", "not met", "undecided"])
@@ -606,7 +606,6 @@ def test_next_asks_for_what_is_open_before_more_tests(verdict: Any) -> None:
         line=None,
         contradicted=False,
         plan=SimpleNamespace(needed=lambda doubt, joint: None, governing=governing),
-        aim=SimpleNamespace(design=SimpleNamespace(subject=lambda limit: "limits.whole")),
     )
     caveats = [Caveat(code="rate", subject=f"limits.{name}.strength") for name in ("who", "whole")]
     remedy = verdicts._remedy(judged, verdict, caveats)

@@ -189,7 +189,7 @@ def _searches(tables: Tables) -> Iterator[Check]:
     """Failure probabilities that rest on the failures that a search has met."""
     for limit in tables.design.limits:
         estimate = failure(tables, limit)
-        searched = tables.rare.get(limit.name)
+        searched = tables.rare.get(limit.subject)
         if searched and estimate.value and estimate.method == searched.estimate.method:
             grade: Grade = "warning"
             effect = searched.warning
@@ -247,7 +247,7 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     design = settled.aim.design
     governing = settled.governing
     if governing.code == "assumed strength":
-        yield Caveat(code="assumed strength", subject=design.subject(governing.limit))
+        yield Caveat(code="assumed strength", subject=governing.limit.subject)
     yield from _model_range(settled, checks)
     # a sphere that is more than half larger, or a third smaller, than all tested ones
     diameter = 2.0 * design.study.at_means().get("sphere.radius", math.nan)
@@ -257,7 +257,7 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
             sizes = tested.diameters or (tested.diameter,)
             yield Caveat(
                 code="size",
-                subject=design.subject(limit),
+                subject=limit.subject,
                 value=diameter,
                 bound=min(sizes, key=lambda size: abs(size - diameter)),
             )
@@ -270,13 +270,6 @@ def caveats_of(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
     for name in dict.fromkeys([*names, *design.inputs]):
         if name in design.study.made_up:
             yield Caveat(code="synthetic tests", subject=name)
-
-
-def _part(settled: Settled, limit: Limit) -> float:
-    """Failures by a limit alone at the number to use, over those that its target allows."""
-    assert settled.use is not None
-    exceeded = settled.base(limit)[0].mean(axis=1)
-    return float(limit.missed(settled.line.at(exceeded, settled.use)) / limit.target)
 
 
 def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
@@ -308,13 +301,18 @@ def _model_range(settled: Settled, checks: Sequence[Check]) -> Iterator[Caveat]:
         yields: Sequence[str] = ()
         if under.design.study.options.get("contact.law", "hertz") == "hertz":
             yields = _YIELD
-        for check in _breaches(under, limits, yields):
+        concerned = {}
+        for limit in limits:
+            concerned[limit.name] = [*_RANGE, *yields]
+            exceeded = line.at(settled.base(limit)[0].mean(axis=1), settled.use)
             # the range of a criterion concerns the failures by it, where the target rests on them
+            if limit.missed(exceeded) / limit.target > accuracy:
+                concerned[limit.name].append(_range_of(limit))
+        for check in _breaches(under, limits, yields):
             shares = [
-                check.failures.get(limit.name, 0.0)
-                for limit in limits
-                if check.name in (*_RANGE, *yields)
-                or (check.name == _range_of(limit) and _part(settled, limit) > accuracy)
+                check.failures.get(name, 0.0)
+                for name, names in concerned.items()
+                if check.name in names
             ]
             share = max(shares, default=0.0)
             if share > accuracy:

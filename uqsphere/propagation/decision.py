@@ -137,15 +137,18 @@ class Settled(Curves):
             candidates.values(), key=lambda doubt: self.line.at(doubt.single, self.weighed_at)
         )
 
-    def is_safe(self, value: float, margin: float) -> bool:
-        """Whether a value of the free number lies on the safe side of a margin; of one that is
-        infinite, whether it does not lie beyond the unsafe end, where nothing is known.
+    def keeps_plan(self, margin: float | None) -> bool:
+        """Whether there is a margin, and the plan lies on its safe side; of one that is infinite,
+        whether it does not lie beyond the unsafe end, where nothing is known.
         """
+        planned = self.aim.design.planned
+        if margin is None:
+            return False
         if margin == inf:
             margin = self.ends[1]
         if self.safe_above:
-            return value >= margin
-        return value <= margin
+            return planned >= margin
+        return planned <= margin
 
     def once_gone(self, doubt: Doubt) -> float | None:
         """The number once a doubt is gone.

@@ -12,6 +12,7 @@ tests.  So the scatter of E and nu in the tests is never counted a second time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -152,15 +153,15 @@ class Design:
         return tuple(filter(means_fracture, self.limits))
 
     @cached_property
-    def planned(self) -> float | None:
-        """The planned value of the free number: the mean that the study gives it."""
+    def planned(self) -> float:
+        """The planned value of the free number: the mean that the study gives it; nan without."""
         margins = self.study.margins
         if not margins:
-            return None
+            return math.nan
         if margins.limit:
             limit = next(limit for limit in self.limits if limit.name == margins.limit)
             return number(limit.strength)
-        return self.study.at_means().get(margins.solve)
+        return self.study.at_means()[margins.solve]
 
     @property
     def free_quantity(self) -> str:
@@ -174,11 +175,6 @@ class Design:
     def generator(self, task: str) -> np.random.Generator:
         """Random numbers of a task, by the seed of the study."""
         return random_generator(self.study.seed, task)
-
-    def subject(self, limit: Limit) -> str:
-        """The name of a limit in the table of answers."""
-        assumed = {mode.limit.name: f"modes.{mode.called}" for mode in self.modes}
-        return assumed.get(limit.name, f"limits.{limit.name}")
 
     def points(self, count: int, start: int = 0, joint: Joint | None = None) -> Sample:
         """`count` points of every replicate, from the `start`-th of its sequence on; `joint`

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from uqsphere.arrays import Array, Flags, Pair, Values, bundle, special
 from uqsphere.results import types
 from uqsphere.results.types import DoubtCode
 from uqsphere.study import Limit
-from uqsphere.uq import Law, LawError, make_law
+from uqsphere.uq import Law, LawError, LimitState, make_law
 from uqsphere.uq.estimate import (
     ENDS,
     carriers,
@@ -303,6 +304,11 @@ class Curves:
         """The same on some of the rows."""
         return replace(self, line=self.line.few)
 
+    @property
+    def own(self) -> Self:
+        """The same by the study's own limits, without failure modes beside them."""
+        return replace(self, aim=replace(self.aim, modes=()))
+
     @cached_property
     def _bases(self) -> dict[str, Array]:
         return {}
@@ -367,15 +373,11 @@ class Curves:
         from scipy.optimize import brentq
 
         limit = doubt.limit
-        state = self.line.state(limit)
+        state, others = self._against(limit, tied=doubt.code != "tie")
         if doubt.code == "distribution":
             state = replace(state, strength=doubt.laws[0])
-        others = Others()
-        if joint:
-            others = self.others.get(limit.name, others)
-        if doubt.code == "tie":
-            state = replace(state, tie=FREE)
-            others = Others(none=others.none)
+        if not joint:
+            others = Others()
 
         def excess(log_factor: float) -> float:
             stronger = replace(state, demands=state.demands * math.exp(-log_factor))
@@ -393,16 +395,22 @@ class Curves:
         """The mean exceedance (2, laws, K, R) of a limit, alone and with the other failure modes,
         by each of some strengths; by its own where there are none.
         """
-        state = self.line.state(limit)
-        others = self.others.get(limit.name, Others())
-        if not tied:
-            state = replace(state, tie=FREE)
-            others = Others(none=others.none)
+        state, others = self._against(limit, tied=tied)
         means = []
         for strength in laws or [state.strength]:
             alone = exceedance(replace(state, strength=strength), self.survive)
             means.append([self.line.means(rows) for rows in (alone, others.or_any(alone))])
         return np.clip(np.moveaxis(np.array(means), 1, 0), 0.0, 1.0)
+
+    def _against(self, limit: Limit, *, tied: bool = True) -> tuple[LimitState, Others]:
+        """The demands of a limit at all rows against its strength, with what adds up with it; one
+        that is not `tied` depends on neither the inputs nor other strengths.
+        """
+        state = self.line.state(limit)
+        others = self.others.get(limit.name, Others())
+        if tied:
+            return state, others
+        return replace(state, tie=FREE), Others(none=others.none)
 
     def computed(self, limit: Limit) -> Doubt:
         """The limit as the study has it, at the unsafe end of the numerical interval; without a
@@ -510,8 +518,9 @@ class Curves:
         """Probabilities (R, N) of exceedance of a limit by its own strength, alone and with the
         other failure modes.
         """
-        alone = exceedance(self.line.state(limit), self.survive)
-        return alone, self.others.get(limit.name, Others()).or_any(alone)
+        state, others = self._against(limit)
+        alone = exceedance(state, self.survive)
+        return alone, others.or_any(alone)
 
     def _carrying(self, exceeded: Array) -> list[float]:
         """The rows of each value that carry failures, by probabilities (R, N) of exceedance;

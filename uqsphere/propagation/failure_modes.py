@@ -29,6 +29,20 @@ from uqsphere.uq import Law, make_law, student
 REFUTED = 0.05
 
 
+#: behind the name of a mode, in that of its limit
+_ASSUMED = " (assumed)"
+
+
+@frozen
+class AssumedLimit(Limit):
+    """The limit of a failure mode that a study has none for."""
+
+    @property
+    def subject(self) -> str:
+        """Its name in the table of answers."""
+        return f"modes.{self.name.removesuffix(_ASSUMED)}"
+
+
 @frozen
 class AssumedMode:
     """A failure mode with a library strength: its limit, and the strength at both ends of the
@@ -150,11 +164,11 @@ def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode
             return make_law("lognormal", {"log_mean": math.log(value * size), "log_sd": entry.cov})
         return make_law("lognormal", {"mean": value, "cov": entry.cov})
 
-    name = f"{mode.name} (assumed)"
+    name = mode.name + _ASSUMED
     weak, strong = map(strength, ends)
     return AssumedMode(
         declared=mode,
-        limit=Limit(
+        limit=AssumedLimit(
             name=name,
             quantity=CRITERIA[mode.criterion].quantity or f"{mode.criterion}.{name}",
             strength=strength(entry.value),

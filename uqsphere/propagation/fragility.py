@@ -41,7 +41,7 @@ def fragility(tables: Tables) -> Rows:
     along = sum(sample.size for sample in tables.line.values())
     runs = tables.predicted_from or along or tables.runs
     for limit in design.judged.limits:
-        subject = design.subject(limit)
+        subject = limit.subject
         if margins.limit is None and not tables.line:
             unknown = absent(tables.without_line, METHOD, runs)
             yield estimate_row(subject, "margin", unknown, limit.allowable, unit=unit, runs=runs)

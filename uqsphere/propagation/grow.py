@@ -135,7 +135,7 @@ def _is_stuck(tables: Tables, before: Mapping[tuple[str, str], float], error: Ac
     if error.answer == "unseen_failures":
         most = min(REPLICATES * MOST, tables.design.analysis.budget.evaluations)
         return count_bound(most) > error.required
-    if error.answer == "failure_probability" and error.subject.partition(".")[2] in tables.rare:
+    if error.answer == "failure_probability" and error.subject in tables.rare:
         return True
     return error.reached > 0.95 * before.get(error[:2], math.inf)
 
@@ -194,9 +194,7 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
 
 def _inaccurate_margins(tables: Tables) -> list[str]:
     """The limits whose margin is less accurate than required."""
-    return [
-        error.subject.partition(".")[2] for error in tables.inaccurate if error.answer == "margin"
-    ]
+    return [error.subject for error in tables.inaccurate if error.answer == "margin"]
 
 
 def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tables:
@@ -213,7 +211,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
     margins = dict(tables.margins)
     missed = _inaccurate_margins(tables)
     for limit in design.limits:
-        name = limit.name
+        name = limit.subject
         poor = name not in margins or margins[name][0].value is None or name in missed
         if poor and tables.line:
             margins[name] = margin_and_scale(tables, limit)
@@ -313,8 +311,8 @@ def _accuracies(tables: Tables) -> Iterator[Accuracy]:
             yield Accuracy(name, f"sobol {label}", widest, required.sobol)
     for limit in design.limits:
         estimate = failure(tables, limit)
-        subject = f"limits.{limit.name}"
-        searched = limit.name in tables.rare
+        subject = limit.subject
+        searched = subject in tables.rare
         unseen = count_bound(tables.sample.size)
         room = limit.target - max((estimate.outer[1] or 1.0) - unseen, 0.0)
         if limit.has_target and searched and room > 0.0:
@@ -327,7 +325,7 @@ def _accuracies(tables: Tables) -> Iterator[Accuracy]:
             continue
         error = estimate.reducible / estimate.value
         yield Accuracy(subject, "failure_probability", error, required.probability)
-    for limit_name, (margin, width) in tables.margins.items():
+    for subject, (margin, width) in tables.margins.items():
         if margin.value is not None and width is not None:
             error = margin.reducible / width
-            yield Accuracy(f"limits.{limit_name}", "margin", error, required.probability)
+            yield Accuracy(subject, "margin", error, required.probability)

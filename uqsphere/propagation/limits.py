@@ -37,11 +37,11 @@ def limits(tables: Tables) -> Rows:
     """
     design = tables.design
     for limit in design.judged.limits:
-        subject = design.subject(limit)
+        subject = limit.subject
         runs = tables.runs
         failed = exceeded = failure(tables, limit)
-        if limit.name in tables.rare:
-            runs += tables.rare[limit.name].estimate.evaluations
+        if limit.subject in tables.rare:
+            runs += tables.rare[limit.subject].estimate.evaluations
         if limit.aim != "survive":
             exceeded = failed.complement()
         yield estimate_row(subject, "exceedance_probability", exceeded, runs=runs)
@@ -61,8 +61,8 @@ def failure(tables: Tables, limit: Limit) -> Estimate:
     column = limit.column
     state = state_of(design, limit, tables.sample)
     sampled = state.failure_of_aim(limit.aim)
-    if limit.name in tables.rare:
-        searched = tables.rare[limit.name].estimate
+    if limit.subject in tables.rare:
+        searched = tables.rare[limit.subject].estimate
         lost = lost_share(state.broken)
         if lost:
             searched = _of_answered(searched, state, lost)
@@ -191,7 +191,7 @@ def drivers(tables: Tables) -> Rows:
     gradients = design.drawn.score_gradients(scores).reshape(sample.scores.shape)
     for limit in design.judged.limits:
         state = state_of(design, limit, sample)
-        subject = design.subject(limit)
+        subject = limit.subject
         moved = np.zeros(gradients.shape)
         tie = state.tie
         # a strength that depends on an input stays where it was while the input moves

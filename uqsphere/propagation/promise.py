@@ -22,7 +22,7 @@ from uqsphere.uq.estimate import ENDS
 from uqsphere.uq.fitting import STRENGTHS, LocationScale, is_fitted
 
 from .decision import Settled
-from .doubts import LAWS, Curves, Others, tests_behind
+from .doubts import LAWS, Others, tests_behind
 from .failure_modes import (
     REFUTED,
     AssumedMode,
@@ -220,8 +220,7 @@ def _added(settled: Settled, limit: Limit, modes: Sequence[AssumedMode]) -> Adde
     survive = settled.survive
     exceeded_here = exceedance(line.state(limit), survive)
     stands = 1.0 - exceeded_here
-    of_study = Curves(aim=replace(settled.aim, modes=()), line=line)
-    others = of_study.others.get(limit.name, Others())
+    others = settled.few.own.others.get(limit.name, Others())
     # neither of the study's other limits without this one
     held = line.means(1.0 - others.or_any(exceeded_here) + exceeded_here).mean(axis=1)
     tables = []

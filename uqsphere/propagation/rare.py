@@ -93,7 +93,7 @@ def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tabl
             # those of the last search, and the last that were drawn nearby since
             draws[not result.searched :] = [result.draws]
         point = _physical(design, limit, answered, result.points)
-        answers[limit.name] = Searched(result.estimate, point, result.warning)
+        answers[limit.subject] = Searched(result.estimate, point, result.warning)
     return replace(tables, rare=answers)
 
 
@@ -112,8 +112,8 @@ def _waiting(tables: Tables, rows_left: float) -> list[Limit]:
             continue
         if estimate.value and estimate.reducible <= required * estimate.value:
             continue
-        if limit.name in tables.rare:
-            spent = tables.rare[limit.name].estimate.evaluations
+        if limit.subject in tables.rare:
+            spent = tables.rare[limit.subject].estimate.evaluations
             waits = bool(tables.stopped) and 2 * spent < min(rows_left, MOST)
         else:
             out_of_reach = rows_by_sampling(estimate, required) > rows_left + tables.sample.size
@@ -131,7 +131,7 @@ def design_points(tables: Tables) -> Rows:
         for name, value in _design_point(tables, limit).items():
             unit = lookup(limit.quantity if is_strength(name) else name).unit
             yield number_row(
-                tables.design.subject(limit),
+                limit.subject,
                 "design_point",
                 name,
                 value,
@@ -145,8 +145,8 @@ def _design_point(tables: Tables, limit: Limit) -> Mapping[str, float]:
     """The design point of a limit on the expansion of its quantity; empty where that is not
     accurate enough.
     """
-    if limit.name in tables.rare:
-        return tables.rare[limit.name].design_point
+    if limit.subject in tables.rare:
+        return tables.rare[limit.subject].design_point
     expansion = tables.expansions.get(limit.quantity)
     if expansion is None or expansion.left > MOST_LEFT:
         return {}

@@ -210,7 +210,7 @@ def tables_of(
         except Interrupted:
             stopped = "interrupted"
     if tables.line:
-        accurate = {limit.name: margin_and_scale(tables, limit) for limit in design.limits}
+        accurate = {limit.subject: margin_and_scale(tables, limit) for limit in design.limits}
         tables = replace(tables, predicted_from=most, margins=accurate)
     tables = assessed(tables)
     if not stopped:

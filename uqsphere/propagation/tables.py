@@ -93,8 +93,8 @@ class Tables:
     line : the same at values of the free number; empty where it moves no row, or there is none
     pairs : outputs (R, n/4, blocks) of the design of Sobol' indices by quantity
     expansions : polynomial chaos by quantity
-    rare : searches for small probabilities by limit
-    margins : of limits, each with the scale of its accuracy
+    rare : searches for small probabilities by the subject of their limit
+    margins : of limits by their subjects, each with the scale of its accuracy
     descriptions, many : of quantities, and the values of their control variates, kept once they
         are asked for
     errors : of all answers that have a requirement

@@ -94,18 +94,10 @@ class Judged:
         """Whether the plan misses a target by its whole interval though it lies on the safe side
         of the number: the curve along the free number is not known well enough.
         """
-        number = self.settled.number
-        planned = self.aim.design.planned
-        if number is None or planned is None:
-            return False
         missed = any(
             (self.all_modes[limit.name].low or 0.0) > limit.target for limit in self.aim.limits
         )
-        return missed and self.settled.is_safe(planned, number)
-
-    def along(self, doubt: Doubt) -> float | None:
-        """The margin of a doubt at the plan; None without one."""
-        return next((d.margin for d in self.settled.doubts if d.key == doubt.key), None)
+        return missed and self.settled.keeps_plan(self.settled.number)
 
 
 def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Judged], Tables]:
@@ -117,7 +109,6 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
     judged = []
     design = tables.design
     yielding = yielding_rows(design)
-    planned = design.planned
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word, yielding)
         plan = Settled(aim=aim, line=plan_of(design, tables.sample.head(_AT_PLAN)))
@@ -128,13 +119,13 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
                 settled = Settled(aim=aim, line=line)
             else:
                 settled = settled_accurately(model, aim, line, end)
-                if planned is not None and _turns_back(settled, plan, planned):
+                if _turns_back(settled, plan):
                     with suppress(Interrupted):
-                        line = refined(settled.line, model, {planned: plan.line.rows.count})
+                        line = refined(settled.line, model, {design.planned: plan.line.rows.count})
                         settled = settled_accurately(model, aim, line, end)
             if tables.line:
                 tables = replace(tables, line=settled.line.samples)
-        probability = _at_plan(tables, replace(plan, aim=replace(aim, modes=())))
+        probability = _at_plan(tables, plan.own)
         if aim.survive:
             for mode in design.modes:
                 probability[mode.limit.name] = failure(tables, mode.limit)
@@ -149,15 +140,14 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
     return judged, tables
 
 
-def _turns_back(settled: Settled, plan: Settled, planned: float) -> bool:
+def _turns_back(settled: Settled, plan: Settled) -> bool:
     """Whether the curve turns back between its values, so that the plan misses a target on the side
     that the curve calls safe.
     """
-    number = settled.number
     line = settled.line
-    if number is None or not line.values[0] < planned < line.values[-1]:
-        return False
-    if not settled.is_safe(planned, number):
+    planned = settled.aim.design.planned
+    inside = line.values[0] < planned < line.values[-1]
+    if not (inside and settled.keeps_plan(settled.number)):
         return False
     for limit in settled.aim.limits:
         (p,) = plan.middle(limit)
@@ -238,10 +228,13 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
     library = _library(judged)
+    doubts = [*settled.doubts]
+    if aim.survive:
+        doubts += map(settled.assumed, aim.design.modes)
     target = all_modes = own = None
-    subject = aim.design.subject(lead)
+    subject = lead.subject
     if aim.has_target:
-        subject = aim.design.subject(governing.limit)
+        subject = governing.limit.subject
         target = lead.target
         if governing.code == "assumed strength":
             target = governing.limit.target
@@ -255,7 +248,9 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         if settled.number is None or judged.contradicted:
             blocked_by = subject
         if not judged.contradicted:
-            own = _own(judged)
+            line = settled.own
+            alone = replace(judged, plan=judged.plan.own, line=line, all_modes=judged.probability)
+            own = _row(alone, line.setting)
         points = zip(settled.line.values, lead.missed(settled.middle(lead)), strict=True)
         curve = [CurvePoint(at=at, value=p) for at, p in points]
     if aim.modes and settled.adds_up(lead):
@@ -275,7 +270,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         all_modes=all_modes,
         curve=curve,
         band=_band(settled),
-        doubts=_certificate(judged),
+        doubts=[_row(judged, doubt) for doubt in doubts],
         caveats=caveats,
         rate=_rate(judged, caveats),
         library=library,
@@ -299,7 +294,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
     factor = None
     if number is None or free is None or judged.contradicted:
         return None
-    if planned is not None and number > 0.0 and planned > 0.0:
+    if number > 0.0 and planned > 0.0:
         # of the number that people read, so that both agree
         rounded, _ = round_conservative(
             number, design.free_quantity, safe_above=settled.safe_above, planned=planned
@@ -307,7 +302,7 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
         factor = rounded / planned
         if settled.safe_above:
             factor = planned / rounded
-        if settled.is_safe(planned, number):
+        if settled.keeps_plan(number):
             factor = max(factor, 1.0)
     best = settled.best_estimate
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
@@ -337,15 +332,6 @@ def _band(settled: Settled) -> list[CurvePoint]:
             points = zip(values, low, high, strict=True)
             return [CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
     return []
-
-
-def _own(judged: Judged) -> types.Doubt:
-    """What sets the number to use where the study's own limits are judged alone."""
-    alone = replace(judged.aim, modes=())
-    plan = replace(judged.plan, aim=alone)
-    line = replace(judged.settled, aim=alone)
-    judged = replace(judged, plan=plan, line=line, all_modes=judged.probability)
-    return _row(judged, judged.settled.setting)
 
 
 def _library(judged: Judged) -> LibraryRange | None:
@@ -401,19 +387,8 @@ def _rate(judged: Judged, caveats: Sequence[Caveat]) -> RateRange | None:
     return RateRange(factors=DYNAMIC, least=numbers[0], most=numbers[1])
 
 
-# --- the certificate ------------------------------------------------------------------------------
-
-
-def _certificate(judged: Judged) -> list[types.Doubt]:
-    """What the number rests on: a row for each limit and doubt."""
-    doubts = [*judged.settled.doubts]
-    if judged.aim.survive:
-        doubts += map(judged.settled.assumed, judged.aim.design.modes)
-    return [_row(judged, doubt) for doubt in doubts]
-
-
 def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
-    """A row of the certificate."""
+    """What the number rests on: a row of the certificate, for one limit and doubt."""
     settled = judged.settled
     aim = judged.aim
     limit = doubt.limit
@@ -450,7 +425,7 @@ def _row(judged: Judged, doubt: Doubt) -> types.Doubt:
             option = option or limit.quantity
     return types.Doubt(
         code=code,
-        subject=aim.design.subject(limit),
+        subject=limit.subject,
         option=option,
         target=limit.target,
         margin=doubt.margin,
@@ -492,23 +467,24 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
     """Whether the plan keeps the target under a doubt: by its margin, else by the probability at
     the plan.
     """
-    margin = judged.along(doubt)
-    planned = judged.aim.design.planned
     limit = doubt.limit
-    by_margin = True
-    if margin == math.inf and planned is not None and not judged.settled.is_safe(planned, margin):
-        margin = None  # the line does not reach the plan
-    if margin is not None and planned is not None:
-        by_margin = judged.settled.is_safe(planned, margin)
-        if doubt.code != "computation":
-            return by_margin
+    by_margin = None
+    for along in judged.settled.doubts:
+        if along.key == doubt.key and along.margin is not None:
+            by_margin = judged.settled.keeps_plan(along.margin)
+            if not by_margin and along.margin == math.inf:
+                by_margin = None  # the line does not reach the plan
     if doubt.code == "computation":
         estimate = judged.all_modes[limit.name]
         met = estimate.meets(limit.target)
-        # a count of none that leaves more possible than the target says nothing against the margin
-        silent = met is None and margin is not None and not estimate.value
-        return by_margin and (met is True or silent)
-    return bool(limit.missed(doubt.curve[0]) <= limit.target)
+        if met is None and not estimate.value:
+            # a count of none that leaves more possible than the target says nothing against the
+            # margin
+            return by_margin is True
+        return met is True and by_margin is not False
+    if by_margin is None:
+        return bool(limit.missed(doubt.curve[0]) <= limit.target)
+    return by_margin
 
 
 #: caveats that hold only a verdict that is met
@@ -543,10 +519,9 @@ def _remedy(
     """
     line = judged.line
     governing = judged.settled.governing
-    design = judged.aim.design
-    subject = design.subject(governing.limit)
+    subject = governing.limit.subject
     if verdict == "no target":
-        return Remedy(code="set a target", subject=design.subject(judged.lead))
+        return Remedy(code="set a target", subject=judged.lead.subject)
     ranked = sorted(caveats, key=lambda caveat: not f"{caveat.subject}.".startswith(f"{subject}."))
     for code, cure in _CURES.items():
         for caveat in ranked:
@@ -555,14 +530,18 @@ def _remedy(
     if judged.contradicted:
         return Remedy(code="change the plan", subject=subject)
     if line is not None and governing.code != "assumed strength" and line.use is None:
-        return _without_number(line, governing, subject)
+        return _without_number(line)
     if verdict == "met":
-        return _of_met(judged, library)
+        if library is None or judged.settled.keeps_plan(library.weak):
+            return Remedy(code="nothing")
+        # a strength of the library whose weak end would miss the target
+        return Remedy(code="measure the strength", subject=f"modes.{library.mode}")
     return _of_doubt(judged, verdict, caveats)
 
 
-def _without_number(line: Settled, governing: Doubt, subject: str) -> Remedy:
+def _without_number(line: Settled) -> Remedy:
     """What gives a number where none is known, or an end to what is safe."""
+    governing = line.governing
     if line.number is not None:
         return Remedy(code="widen the range", subject="margins.between")
     at_best = None
@@ -573,32 +552,19 @@ def _without_number(line: Settled, governing: Doubt, subject: str) -> Remedy:
     code: RemedyCode = "tighten the accuracy"
     if line.is_lost_by_failed(governing):
         code = "mend the model"
-    return Remedy(code=code, subject=subject, at_best=at_best)
-
-
-def _of_met(judged: Judged, library: LibraryRange | None) -> Remedy:
-    """Of a target that is met, to measure a strength of the library whose weak end would miss
-    it.
-    """
-    planned = judged.aim.design.planned
-    if library is None or planned is None:
-        return Remedy(code="nothing")
-    if library.weak is not None and judged.settled.is_safe(planned, library.weak):
-        return Remedy(code="nothing")
-    return Remedy(code="measure the strength", subject=f"modes.{library.mode}")
+    return Remedy(code=code, subject=governing.limit.subject, at_best=at_best)
 
 
 def _of_doubt(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -> Remedy:
     """What helps against the doubt that governs, and what that would buy."""
     line = judged.line
-    design = judged.aim.design
     deciding = judged.settled.governing
     if deciding.code == "computation" != judged.settled.setting.code:
         deciding = judged.settled.setting
     if deciding.code == "computation" and verdict == "undecided":
         deciding = _disagreeing(judged)
     remedy = _REMEDIES.get(deciding.code)
-    subject = design.subject(deciding.limit)
+    subject = deciding.limit.subject
     if deciding.code == "tie":
         subject = f"the dependence of {deciding.limit.strength_name}"
     if remedy is None and verdict == "undecided":
@@ -643,7 +609,7 @@ def _needed(judged: Judged, deciding: Doubt) -> NeededStrength | None:
         if factor is not None and (joint or (factor > 1.0) == plan.survive):
             present = mean_of(strength)
             return NeededStrength(
-                subject=judged.aim.design.subject(limit),
+                subject=limit.subject,
                 quantity=quantity,
                 value=factor * present,
                 present=present,
@@ -714,10 +680,9 @@ def assumed_answers(judged: Sequence[Judged]) -> Rows:
 
 
 def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
-    aim = judged.aim
     limit = doubt.limit
     law = limit.resistance
-    subject = aim.design.subject(limit)
+    subject = limit.subject
     low = high = None
     note = ""
     if doubt.opposite is None:

@@ -67,6 +67,11 @@ class Limit:
         return self.criterion, self.parameters
 
     @property
+    def subject(self) -> str:
+        """Its name in the table of answers."""
+        return f"limits.{self.name}"
+
+    @property
     def strength_name(self) -> str:
         """The path of its strength."""
         return f"limits.{self.name}.strength"
