@@ -28,7 +28,6 @@ from scipy.stats import qmc
 
 import uqsphere
 from uqsphere import Study
-from uqsphere.propagation.free_number import grid
 from uqsphere.study import load_study
 
 STUDIES = Path(__file__).parents[2] / "studies"
@@ -138,7 +137,7 @@ def truth_of(name: str) -> dict[tuple[str, str, Any], float]:
             ("limits.high", "margin", p): brentq(lambda load, p=p: exceeded(load) - p, 0.5, 4.0)
             for p in EXCEEDED
         }
-        curve = {("limits.high", "curve", load): exceeded(load) for load in grid(study.margins)}
+        curve = {("limits.high", "curve", load): exceeded(load) for load in study.margins.grid()}
         # below 3/N a probability is not in the interval
         return truth | {key: p for key, p in curve.items() if 0.01 < p < 0.99}
     points = np.concatenate([qmc.Sobol(3, seed=k).random_base2(20) for k in range(4)])

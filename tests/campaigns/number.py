@@ -25,7 +25,6 @@ from uqsphere.propagation.decision import Settled
 from uqsphere.propagation.design import Design, at_normals, demands_of
 from uqsphere.propagation.doubts import LAWS, Doubt
 from uqsphere.propagation.failure_modes import means_fracture
-from uqsphere.propagation.free_number import moved
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import Line, YieldingRows
 from uqsphere.propagation.tables import evaluate, with_number
@@ -122,7 +121,7 @@ def _rows_at(
     assert settled is not None
     margins = design.study.margins
     assert margins is not None
-    joint = moved(design.study, number).inputs().only(design.variables)
+    joint = design.study.moved(number).inputs().only(design.variables)
     points = at_normals(joint, rng.standard_normal((1, rows, len(joint.names))))
     if margins.limit is not None:
         raise ValueError("the free number is a strength")

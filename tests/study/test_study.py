@@ -27,7 +27,6 @@ from tests.campaigns.fuzz import campaign
 from uqsphere.cli import main
 from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.propagation.failure_modes import failure_modes_of
-from uqsphere.propagation.free_number import moved
 from uqsphere.study import Limit, Study, json_schema, load_study, shipped_studies
 from uqsphere.study.document import Document
 
@@ -217,7 +216,7 @@ def test_pulses_and_inserts(load: Load) -> None:
     )
     assert insert.fixed["bars.insert_nu"] == 0.2
     assert insert.margins is not None and insert.margins.solve == "bars.insert_E"  # noqa: PT018
-    assert moved(insert, 550e9).random["bars.insert_E"].nominal_mean() == 550e9
+    assert insert.moved(550e9).random["bars.insert_E"].nominal_mean() == 550e9
 
 
 def test_a_measured_pulse(load: Load, tmp_path: Path) -> None:
@@ -315,8 +314,8 @@ def test_warnings_of_laws(load: Load) -> None:
 
 def test_moving_the_mean_keeps_what_was_given(load: Load) -> None:
     by_cov, by_sd = load(), load(BASE, ('"0.5 m/s", cov = 0.02', '"0.5 m/s", sd = "0.01 m/s"'))
-    assert moved(by_cov, 2.0).random["striker.speed"].sd() == pytest.approx(0.04, rel=1e-12)
-    assert moved(by_sd, 2.0).random["striker.speed"].sd() == pytest.approx(0.01, rel=1e-12)
+    assert by_cov.moved(2.0).random["striker.speed"].sd() == pytest.approx(0.04, rel=1e-12)
+    assert by_sd.moved(2.0).random["striker.speed"].sd() == pytest.approx(0.01, rel=1e-12)
     law = '{ dist = "normal", mean = "0.5 m/s", cov = 0.02 }'
     beta = (
         '{ dist = "beta", mean = "0.5 m/s", sd = "0.01 m/s", lower = "0.4 m/s", upper = "0.6 m/s" }'

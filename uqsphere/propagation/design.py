@@ -24,7 +24,7 @@ from uqsphere.mechanics.crushing import force_at
 from uqsphere.mechanics.rigs import LAW
 from uqsphere.models.scene import absent_quantity
 from uqsphere.results.types import EvidenceEntry
-from uqsphere.study import Limit, Study, limit_of
+from uqsphere.study import Limit, Study, limit_of, mean_of
 from uqsphere.study.document import Analysis
 from uqsphere.uq import Joint, Law, Sample, random_generator, sobol_points
 from uqsphere.uq.chaos.basis import Germs, germs_of
@@ -34,8 +34,6 @@ from uqsphere.uq.indices import Blocks
 
 from .failure_modes import AssumedMode, failure_modes_of, judged_by_tests, means_fracture
 
-#: values of the free number
-VALUES = 25
 #: numbers of the sphere that the force in a test depends on
 SPHERE = ("sphere.E", "sphere.nu", "sphere.density")
 
@@ -160,7 +158,7 @@ class Design:
             return math.nan
         if margins.limit:
             limit = next(limit for limit in self.limits if limit.name == margins.limit)
-            return number(limit.strength)
+            return mean_of(limit.strength)
         return self.study.at_means()[margins.solve]
 
     @property
@@ -233,11 +231,6 @@ def at_normals(joint: Joint, normals: Array) -> Sample:
     return Sample.at(joint.names, normals, joint.physical(normals))
 
 
-def number(value: Law | float) -> float:
-    """A number, or the mean of its distribution."""
-    return value.nominal_mean() if isinstance(value, Law) else float(value)
-
-
 def is_strength(name: str) -> bool:
     """Whether a random variable is the strength of a limit."""
     return limit_of(name) is not None and name.endswith(".strength")
@@ -267,7 +260,7 @@ def _factor(limit: Limit, sample: Sample) -> Array | float:
     name = f"limits.{limit.name}.model_factor"
     if name in sample.names:
         return sample.input(name)
-    return number(limit.model_factor)
+    return mean_of(limit.model_factor)
 
 
 def with_test_forces(design: Design, sample: Sample, limits: Sequence[Limit] = ()) -> Sample:

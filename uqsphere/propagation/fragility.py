@@ -6,7 +6,6 @@ and their spread is the interval.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,16 +14,14 @@ from uqsphere.errors import UsageError, whole
 from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, estimate_row, number_row
-from uqsphere.study import Limit, Study
+from uqsphere.study import VALUES, Limit, Study
 from uqsphere.uq import Estimate, Sample
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 from uqsphere.uq.estimate import REPLICATES, absent, carriers, lost_share
 
-from .design import VALUES, Design
-from .free_number import demand_factor, grid
-from .limits import state_of
-from .line import ends_by_rows, evaluated_at, exceedance
+from .design import Design
+from .line import Line, ends_by_rows, evaluated_at, exceedance
 from .tables import Tables
 
 METHOD = "the same points at every value"
@@ -70,7 +67,7 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     assert margins is not None
     line = tables.line
     if margins.limit is not None:
-        line = dict.fromkeys(grid(margins), tables.sample)
+        line = dict.fromkeys(margins.grid(), tables.sample)
     means, carrying, lost = _along(design, line, limit)
     ends = None
     if tables.compared is not None:
@@ -105,17 +102,15 @@ def _along(
     lost = []
     carrying = []
     for value, sample in line.items():
-        state = state_of(design, limit, sample)
-        factor = demand_factor(design.study.margins, limit, value)
-        exceeded, held = state.tails(factor)
+        state = Line(design=design, samples={value: sample}).state(limit)
+        exceeded, held = state.tails()
         carrying.append(min(carriers(exceeded), carriers(held)))
         mean = exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1)
         least = most = mean
         counted = state.on_failure == "bound"
         if counted or state.late.any():
-            moved = replace(state, demands=factor * state.demands)
             least, most = (
-                np.nanmean(exceedance(moved, survive), axis=1) for survive in (False, True)
+                np.nanmean(exceedance(state, survive), axis=1) for survive in (False, True)
             )
         means.append([mean, least, most])
         lost.append(lost_share(state.broken) - counted * state.broken.mean())
@@ -173,7 +168,7 @@ def fragility_curves(study: Study, *, rows: int = 1024, values: int = VALUES) ->
         raise UsageError("fragility curves need an impact scene whose [margins] vary one number")
     design = Design.of(study)
     count = max(round(whole(rows, "rows", 1) / REPLICATES), 2)
-    counts = dict.fromkeys(grid(margins, whole(values, "values", 2)), count)
+    counts = dict.fromkeys(margins.grid(whole(values, "values", 2)), count)
     with Model(design.judged) as model:
         line = evaluated_at(design, model, {}, counts)
     tables = Tables(design=design, sample=next(iter(line.values())), line=line)

@@ -19,15 +19,14 @@ from uqsphere.arrays import Array, special
 from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.results.types import Stop
-from uqsphere.study import Study
+from uqsphere.study import VALUES, Study
 from uqsphere.uq import Sample
 from uqsphere.uq.estimate import REPLICATES, count_bound
 
 from . import rare
 from .chaos import by_chaos, expansions, varies
-from .design import VALUES, Design, is_strength
+from .design import Design, is_strength
 from .fragility import margin_and_scale
-from .free_number import grid, shares_of, values_at
 from .limits import failure
 from .line import evaluated_at
 from .progress import Progress
@@ -181,14 +180,14 @@ def _line_counts(design: Design, before: Tables | None, count: int) -> dict[floa
     if not margins:
         return {}
     if before is None:
-        return dict.fromkeys(grid(margins, VALUES), max(count // LINE_SHARE, 2))
+        return dict.fromkeys(margins.grid(VALUES), max(count // LINE_SHARE, 2))
     about = set[float]()
     values = [*before.line]
     for name in _inaccurate_margins(before):
         at = int(np.searchsorted(values, before.margins[name][0].value or 0.0))
         near = values[max(at - 2, 0) : at + 2]
-        shares = shares_of(margins, np.array(near))
-        about |= {*near, *values_at(margins, 0.5 * (shares[1:] + shares[:-1])).tolist()}
+        shares = margins.shares_of(np.array(near))
+        about |= {*near, *margins.values_at(0.5 * (shares[1:] + shares[:-1])).tolist()}
     return dict.fromkeys(about, 2 * max(part.count for part in before.line.values()))
 
 

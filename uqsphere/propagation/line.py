@@ -23,7 +23,6 @@ from uqsphere.uq.corrected import corrected_probability
 from uqsphere.uq.estimate import count_bound, fold_spread, student
 
 from .design import Design
-from .free_number import demand_factor, grid, moved, shares_of
 from .limits import state_of
 from .tables import Compared, Tables, answered, check_failures, evaluate, input_rows, with_number
 
@@ -104,8 +103,7 @@ class Line:
     def state(self, limit: Limit) -> LimitState:
         """Demands of a limit at all rows against its strength."""
         state = state_of(self.design, limit, self.rows)
-        margins = self.design.study.margins
-        factors = [demand_factor(margins, limit, value) for value in self.values]
+        factors = [self.design.study.demand_factor(limit, value) for value in self.values]
         by_row = np.repeat(factors, self.counts) / self.stronger.get(limit.name, 1.0)
         return replace(state, demands=state.demands * by_row)
 
@@ -159,10 +157,10 @@ def ends_by_rows(
     cells = []
     shifted = []
     for value, sample in line.items():
-        factor = demand_factor(margins, limit, value)
+        factor = design.study.demand_factor(limit, value)
         shift = 0.0
         if compared.values is not None:
-            apart = shares_of(margins, compared.values) - shares_of(margins, np.array(value))
+            apart = margins.shares_of(compared.values) - margins.shares_of(np.array(value))
             near = np.sort(np.argsort(np.abs(apart))[: math.isqrt(len(apart))])
             shift = _common_error(products[near[:-1]], systematic)
         observed, *predicted = state.tails(factor)[0][:, near]
@@ -232,7 +230,7 @@ def line_of(tables: Tables) -> Line | None:
     margins = tables.design.study.margins
     samples = tables.line
     if margins is not None and margins.limit is not None:
-        samples = dict.fromkeys(grid(margins), tables.sample.head(_SHARED))
+        samples = dict.fromkeys(margins.grid(), tables.sample.head(_SHARED))
     if not samples:
         return None
     return Line(design=tables.design, samples=samples, compared=tables.compared)
@@ -254,7 +252,7 @@ def evaluated_at(
         if value in before:
             start = before[value].count
         if start < count:
-            joint = moved(design.study, value).inputs().only(design.variables)
+            joint = design.study.moved(value).inputs().only(design.variables)
             points = design.points(count - start, start, joint=joint)
             if margins is not None and margins.solve not in design.inputs:
                 points = with_number(points, margins.solve, value)

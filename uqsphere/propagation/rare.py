@@ -19,13 +19,13 @@ from uqsphere.models.model import Model
 from uqsphere.models.rows import Interrupted
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, number_row
-from uqsphere.study import Limit
+from uqsphere.study import Limit, mean_of
 from uqsphere.uq import Estimate, Law, LimitState, Sample, score_of
 from uqsphere.uq.forms import CERTAIN
 from uqsphere.uq.rare import DesignPoint, Draws, Evaluator, failure_probability, find_design_points
 
 from .chaos import MOST_LEFT, values_at
-from .design import Design, at_normals, is_strength, number, with_test_forces
+from .design import Design, at_normals, is_strength, with_test_forces
 from .limits import failure, sign_of, state_of
 from .tables import Searched, Tables, evaluate
 
@@ -120,7 +120,7 @@ def _waiting(tables: Tables, rows_left: float) -> list[Limit]:
             waits = is_left_to_search(design, estimate) or out_of_reach
         if waits:
             # those that no row of the sample fails: by how far their strength is out
-            rank = -(estimate.value or 0.0), number(limit.resistance) * sign_of(limit)
+            rank = -(estimate.value or 0.0), mean_of(limit.resistance) * sign_of(limit)
             waiting.append((rank, limit))
     return [limit for _, limit in sorted(waiting, key=lambda entry: entry[0])]
 
@@ -192,7 +192,7 @@ def _problem(
         return sample.outputs(limit.quantity)
 
     def of_outputs(y: Array) -> Array:
-        return left(LimitState(demands=number(limit.model_factor) * y[None], strength=strength))
+        return left(LimitState(demands=mean_of(limit.model_factor) * y[None], strength=strength))
 
     strength = limit.resistance
     whole = _hangs_on_more(design, limit)

@@ -31,7 +31,6 @@ from uqsphere.uq.surrogate import columns_of, each_once
 from .chaos import points_of
 from .design import Design, at_normals
 from .fragility import margin_and_scale
-from .free_number import grid, moved, shares_of, values_at
 from .grow import assessed, first_rows
 from .line import CLOSE, Line, score
 from .progress import Progress
@@ -344,9 +343,9 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
         return replace(tables, without_line=f"at least {LEAST_ROWS} model runs more are needed")
     points = _design_points(design, count, 1, "slow line")
     dense_at_ends = make_law("beta", {"alpha": 0.5, "beta": 0.5}, 0.0, 1.0)
-    values = values_at(margins, dense_at_ends.ppf(points[:, -1]))
+    values = margins.values_at(dense_at_ends.ppf(points[:, -1]))
     normals = points[:, :-1]
-    joints = (moved(design.study, value).inputs().only(names) for value in values.tolist())
+    joints = (design.study.moved(value).inputs().only(names) for value in values.tolist())
     physical = np.array([joint.physical(row) for joint, row in zip(joints, normals, strict=True)])
     chosen = Sample.at(names, normals[None], physical[None])
     if margins.solve not in design.inputs:
@@ -375,10 +374,10 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
     line: dict[float, Sample] = {}
     folds: dict[float, Sample] = {}
-    further = grid(margins)
+    further = margins.grid()
     while further:
         for value in further:
-            germ = 2.0 * float(dense_at_ends.cdf(shares_of(margins, value))) - 1.0
+            germ = 2.0 * float(dense_at_ends.cdf(margins.shares_of(value))) - 1.0
             line[value] = _with_predictions(design, table, responses, germ)[1]
             folds[value] = _with_predictions(design, shared, responses, germ)[0]
         line = dict(sorted(line.items()))
@@ -400,10 +399,10 @@ def _inside_steep_steps(line: Line, least: float) -> list[float]:
     """
     margins = line.design.study.margins
     assert margins is not None
-    shares = shares_of(margins, np.array(line.values))
+    shares = margins.shares_of(np.array(line.values))
     steep = np.zeros(len(shares) - 1, bool)
     for limit in line.design.limits:
         curve = line.means(line.state(limit).tails()[0]).mean(axis=1)
         steep |= np.abs(np.diff(score(np.clip(curve, least, 1.0 - least)))) > 0.25
     steep &= np.diff(shares) > CLOSE
-    return [*values_at(margins, 0.5 * (shares[1:] + shares[:-1])[steep])]
+    return [*margins.values_at(0.5 * (shares[1:] + shares[:-1])[steep])]

@@ -33,7 +33,7 @@ from uqsphere.results.types import (
     Use,
     VerdictWord,
 )
-from uqsphere.study import Limit
+from uqsphere.study import Limit, mean_of
 from uqsphere.study.limits import DYNAMIC
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates
 from uqsphere.uq.estimate import SURE, spread
@@ -41,7 +41,6 @@ from uqsphere.uq.estimate import SURE, spread
 from .checks import Check, caveats_of
 from .decision import Settled, settled_accurately
 from .design import Design, number_of_tests
-from .design import number as mean_of
 from .doubts import Aim, Curves, Doubt, alternatives
 from .failure_modes import AssumedMode, means_fracture
 from .limits import failure

@@ -4,20 +4,20 @@ them at once.
 
 from pathlib import Path
 
-from .document import Margins, json_schema, limit_of
+from .document import VALUES, json_schema, limit_of
 from .load import load_study
 from .study import Limit, Study, default_target
-from .values import NOTABLE
+from .values import mean_of
 
 __all__ = [
-    "NOTABLE",
+    "VALUES",
     "Limit",
-    "Margins",
     "Study",
     "default_target",
     "json_schema",
     "limit_of",
     "load_study",
+    "mean_of",
     "shipped_studies",
 ]
 

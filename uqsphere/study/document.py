@@ -6,12 +6,14 @@ other is checked in `uqsphere.study.check`.  The JSON schema and docs/study-file
 three.
 """
 
+import math
 import re
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -22,6 +24,7 @@ from pydantic import (
 )
 from pydantic import model_validator as checked
 
+from uqsphere.arrays import Values
 from uqsphere.documents import Fault, TomlTable
 from uqsphere.mechanics.bars import END_COEFFICIENTS
 from uqsphere.mechanics.criteria import CRITERIA, PARAMETERS
@@ -32,6 +35,8 @@ from uqsphere.uq.families import FAMILIES
 
 from .values import Observations, Positive, fraction, numbers_of, value_of
 
+#: values of the free number of [margins]
+VALUES = 25
 #: what loads the sphere, and the tables that belong to each rig
 RIG_TABLES = {
     name: (*rig.tables, "insert") if rig.by_wave else rig.tables for name, rig in RIGS.items()
@@ -406,6 +411,31 @@ class Margins(TomlTable):
     def limit(self) -> str | None:
         """The limit whose strength is free; else the answers of the model depend on the number."""
         return limit_of(self.solve)
+
+    def values_at(self, shares: Values) -> Values:
+        """The values a share of the way from the lowest to the highest: in ratios where all are
+        positive, else in steps.
+
+        >>> margins = Margins(solve="striker.speed", between=(0.1, 10.0))
+        >>> margins.values_at(np.array([0.0, 0.5, 1.0])).round(12).tolist()
+        [0.1, 1.0, 10.0]
+        """
+        low, high = self.between
+        if low > 0.0:
+            return np.clip(low * (high / low) ** shares, low, high)
+        return low + (high - low) * shares
+
+    def shares_of(self, values: Values) -> Values:
+        """The share of the way at which values lie."""
+        low, high = self.between
+        if low > 0.0:
+            return np.log(values / low) / math.log(high / low)
+        return (values - low) / (high - low)
+
+    def grid(self, count: int = VALUES) -> list[float]:
+        """`count` values from one end to the other."""
+        values: list[float] = self.values_at(np.linspace(0.0, 1.0, count)).tolist()
+        return values
 
 
 class Outputs(TomlTable):

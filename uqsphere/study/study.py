@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import field, fields, is_dataclass
+from dataclasses import field, fields, is_dataclass, replace
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Any, Self
@@ -25,11 +25,12 @@ from uqsphere.mechanics.outputs import OUTPUTS
 from uqsphere.mechanics.pulses import MeasuredPulse
 from uqsphere.mechanics.rigs import DEFAULT_RIG, RIGS, Rig
 from uqsphere.mechanics.scene import Scene
+from uqsphere.quantities import INPUTS
 from uqsphere.uq import Dependence, Joint, Law, make_joint
 from uqsphere.uq.families import Family
 
 from .document import Aim, Analysis, Document, Gauge, Margins, ModelChoice, Words
-from .values import Number, Tested
+from .values import NOTABLE, Number, Tested, mean_of
 
 #: failure probability that is allowed where a study says nothing at all
 DEFAULT_TARGET = 0.01
@@ -296,6 +297,37 @@ class Study:
         if source is None:
             return "study", True
         return source.source, source.seen
+
+    def moved(self, value: float) -> "Study":
+        """The study with its free number at a value, the mean of its law or the number itself; the
+        study itself where that is no number of its rows.
+
+        A moved law is cut where its number has no meaning if a notable share of it has come to lie
+        there: a height of 12 mm with a standard deviation of 0.5 mm is never negative; one of
+        0.2 mm with the same often would be.
+
+        Raises LawError where a random number has no law with this mean.
+        """
+        if self.moving is None:
+            return self
+        path = self.moving.solve
+        if path not in self.random:
+            return replace(self, fixed={**self.fixed, path: value})
+        law = self.random[path].with_mean(value)
+        if path in INPUTS:
+            low = INPUTS[path].lower
+            if law.lower < low and law.cdf(low) > NOTABLE:
+                law = replace(law, lower=low)
+        return replace(self, random={**self.random, path: law})
+
+    def demand_factor(self, limit: Limit, value: float) -> float:
+        """What the demands of a limit are multiplied by where the free number has a value, in place
+        of its free strength; nan is the plan.
+        """
+        margins = self.margins
+        if margins is None or margins.limit != limit.name or math.isnan(value):
+            return 1.0
+        return mean_of(limit.strength) / value
 
     def at_means(self) -> dict[str, float]:
         """Every number of the scene (or black-box input), the random ones at their nominal mean;

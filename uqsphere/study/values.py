@@ -95,6 +95,11 @@ class Tested:
         return max(diameter / max(sizes), min(sizes) / diameter, 1.0)
 
 
+def mean_of(value: Law | float) -> float:
+    """A number, or the mean of its law before truncation."""
+    return value.nominal_mean() if isinstance(value, Law) else float(value)
+
+
 @frozen
 class Number:
     """A number in SI: value or law, whether its data are synthetic, tests behind it."""
@@ -105,10 +110,8 @@ class Number:
 
     @property
     def mean(self) -> float:
-        """The value, or the law's mean before truncation."""
-        if isinstance(self.value, Law):
-            return self.value.nominal_mean()
-        return self.value
+        """The value, or the mean of its law."""
+        return mean_of(self.value)
 
 
 @cache
