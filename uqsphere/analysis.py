@@ -421,7 +421,7 @@ def failure_probability(
             rare.Evaluator(function, len(laws.names), budget=evaluations, seed=seed),
             accuracy=accuracy,
         )
-    point = dict[str, float]()
+    point = {}
     for nearest in search.points[:1]:
         numbers = laws.physical(nearest.point[None])[0].tolist()
         point = dict(zip(laws.names, numbers, strict=True))

@@ -155,7 +155,7 @@ def run(
         else:
             tables = grow(design, evaluator, seconds=seconds, progress=report)
         judged, tables = judge(evaluator, tables, started + seconds)
-        answers = list[Answer]()
+        answers = []
         for analysis in ANALYSES:
             answers += analysis(tables)
         answers += fracture(tables, by_own_limits(judged))

@@ -110,7 +110,7 @@ def expansions(
     count = sample.count
     few = min(count, MOST_TERMS)
     points = points_of(design, sample.scores)
-    fits = dict[str, Expansion]()
+    fits = {}
     for name in design.described:
         outputs = sample.answer(name)
         if not sample.knows(name) or not varies(outputs):

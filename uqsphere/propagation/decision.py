@@ -38,7 +38,7 @@ class Settled(Curves):
     @cached_property
     def doubts(self) -> list[Doubt]:
         """Every doubt of the limits of the aim."""
-        doubts: list[Doubt] = []
+        doubts = []
         for limit in self.aim.limits:
             others = [other for other in self.aim.others if other.limit.name == limit.name]
             doubts += [self.computed(limit), *map(self.otherwise, others)]

@@ -257,7 +257,7 @@ class Curves:
     @cached_property
     def others(self) -> dict[str, Others]:
         """What adds up with a limit, by its name; nothing for limits that are no fracture."""
-        holds = dict[str, Array]()
+        holds = {}
         groups = []
         for group in (*self.aim.groups, *([mode.limit] for mode in self.aim.modes)):
             counted = [*filter(means_fracture, group)]

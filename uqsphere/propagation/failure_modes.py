@@ -144,7 +144,7 @@ def _assumed(study: Study, mode: FailureMode, material: Material) -> AssumedMode
     entry = material.properties[mode.strength]
     spread = math.exp(student(math.inf) * entry.cov)
     ends = entry.range or (entry.value / spread, entry.value * spread)
-    parameters: dict[str, float] = {}
+    parameters = {}
     criterion = None
     # a strength measured on a specimen says nothing of a volume a million times smaller without
     # its size law

@@ -201,7 +201,7 @@ def _answered(model: Model, tables: Tables, rows_left: Callable[[], float]) -> T
     not looked at again.
     """
     design = tables.design
-    inaccurate: list[str] = []
+    inaccurate = []
     if design.inputs:
         fits = expansions(design, tables.sample, tables.expansions)
         tables = replace(tables, expansions=fits)

@@ -261,7 +261,7 @@ def evaluated_at(
         return before
     rows = evaluate(design, model, Sample.join(*parts.values()), part=True)
     samples = dict(before)
-    failing = dict[float, TooManyFailures]()
+    failing = {}
     end = 0
     for value, part in parts.items():
         added = rows.where(slice(end, end + part.count))

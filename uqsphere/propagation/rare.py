@@ -80,7 +80,7 @@ def search(model: Model, tables: Tables, rows_left: Callable[[], float]) -> Tabl
         if allowed < LEAST:
             break
         problem = _problem(design, limit, answered, min(allowed, MOST))
-        draws = list[Draws]()
+        draws = []
         if not _hangs_on_more(design, limit):
             draws = shared.setdefault((limit.quantity, limit.aim), [])
         try:

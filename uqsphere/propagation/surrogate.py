@@ -223,7 +223,7 @@ def _evaluated(
     """The rows (1, n) of the design that were evaluated, and what ended them early, if anything;
     `report` is called with how many there are.
     """
-    parts = list[Sample]()
+    parts = []
     done = 0
     count = points.count
     stopped: Stop = ""
@@ -261,7 +261,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         apart = lie_apart(inputs[failed], inputs[~failed])
         dropped = int(failed.sum())
         rows = rows.where(~failed)
-    responses: dict[str, Response] = {}
+    responses = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
     if plain and not apart and rows.count >= LEAST_ROWS:
         fits = cross_fit(points_of(design, rows.scores[0]), rows.answers[0], design.germs)
@@ -372,8 +372,8 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     # the first replicates behind each other, for each of the expansions
     first = [part[: FOLDS // 2].reshape(1, -1, len(names)) for part in (table.scores, table.inputs)]
     shared = Sample.at(names, *(np.repeat(part, FOLDS, axis=0) for part in first))
-    line: dict[float, Sample] = {}
-    folds: dict[float, Sample] = {}
+    line = {}
+    folds = {}
     further = margins.grid()
     while further:
         for value in further:

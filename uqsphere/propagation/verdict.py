@@ -573,7 +573,7 @@ def _of_doubt(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -
     if remedy is None and any(caveat.code == "synthetic tests" for caveat in caveats):
         remedy = "replace the synthetic tests"
     at_best = None
-    gains: list[TestsGain] = []
+    gains = []
     if remedy is not None and line is not None:
         at_best = line.once_gone(deciding)
         if at_best == line.number:

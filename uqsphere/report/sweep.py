@@ -102,7 +102,7 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
     count = math.prod(map(len, grid.values()))
     if count > MOST_POINTS:
         raise UsageError(f"--over gives {count} points; at most {MOST_POINTS}")
-    points = dict[str, Point]()
+    points = {}
     for texts in itertools.product(*grid.values()):
         values = dict(zip(grid, texts, strict=True))
         study = load([f"{key}={text}" for key, text in values.items()])
@@ -116,7 +116,7 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
 
 
 def _grid(over: Sequence[str]) -> dict[str, list[str]]:
-    grid: dict[str, list[str]] = {}
+    grid = {}
     for text in over:
         key, _, listed = map(str.strip, text.partition("="))
         values = [part.strip().strip("\"'") for part in listed.split(",")]
