@@ -403,8 +403,8 @@ class Table:
                     "paste values"
                 )
             else:  # all that are no numbers are told by the first
-                strange = strange or self._strange(text)
-                message = strange
+                strange = strange or text
+                message = self._strange(strange)
             self.refuse(key, f"{column}: {message}", [k])
         return values
 
@@ -480,9 +480,9 @@ class Table:
                 columns.append(column)
         if not columns or rows < 5:
             return
-        digits = [[len(text.partition(".")[2]) for text in column] for column in columns]
-        values = np.array(columns, float)
-        steps = 10.0 ** -np.array(digits)
+        texts = np.array(columns)
+        values = texts.astype(float)
+        steps = 10.0 ** -np.strings.str_len(np.strings.partition(texts, ".")[2])
         for k in range(max(3, rows - 8), rows):
             above = values[:, :k]
             step = steps[:, k]

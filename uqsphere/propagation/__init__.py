@@ -25,7 +25,6 @@ from uqsphere.results import Run
 from uqsphere.results.answers import number_row
 from uqsphere.results.folder import clear, locked, read_results, write_log
 from uqsphere.results.run import stored_study
-from uqsphere.results.types import Answer
 from uqsphere.study import Study
 
 from . import surrogate

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,7 +30,6 @@ from uqsphere.results.types import (
     RateRange,
     Remedy,
     RemedyCode,
-    TestsGain,
     Use,
     VerdictWord,
 )
@@ -97,6 +97,41 @@ class Judged:
             (self.all_modes[limit.name].low or 0.0) > limit.target for limit in self.aim.limits
         )
         return missed and self.settled.keeps_plan(self.settled.number)
+
+    @cached_property
+    def library(self) -> LibraryRange | None:
+        """What the library's range of a failure mode would make of the number: of one that governs;
+        else of that by which most would fail at the number by the weak end, where this leaves less.
+        """
+        settled = self.settled
+        governing = settled.governing
+        governs = governing.code == "assumed strength"
+        if self.line is None or not self.aim.modes or (settled.number is None and not governs):
+            return None
+
+        def failures(mode: AssumedMode) -> float:
+            """Those of a mode where doubts are weighed, by the weak end of its range."""
+            curve = settled.by_strengths(mode.limit, [mode.weak])[0, 0].mean(axis=1)
+            return settled.line.at(curve, settled.weighed_at)
+
+        named = [mode for mode in self.aim.modes if mode.limit.name == governing.limit.name]
+        mode = max(named or self.aim.modes, key=failures)
+        rest = self.aim.without(mode.limit.name)
+
+        def number(law: Law) -> float | None:
+            """The number by another strength of the mode."""
+            other = replace(mode, limit=replace(mode.limit, strength=law))
+            return replace(settled, aim=replace(rest, modes=(*rest.modes, other))).number
+
+        weak = number(mode.weak)
+        if not governs and settled.is_number(weak):
+            return None
+        return LibraryRange(
+            mode=mode.called,
+            weak=weak,
+            strong=number(mode.strong),
+            mean_strengths=(mode.weak.mean(), mode.strong.mean()),
+        )
 
 
 def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Judged], Tables]:
@@ -226,7 +261,6 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
     lead = judged.lead
     caveats = [*caveats_of(settled, checks)]
     verdict = _verdict(judged, caveats)
-    library = _library(judged)
     doubts = [*settled.doubts]
     if aim.survive:
         doubts += map(settled.assumed, aim.design.modes)
@@ -261,7 +295,7 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         verdict=verdict,
         target=target,
         governing=subject,
-        use=_use(judged, library),
+        use=_use(judged),
         blocked_by=blocked_by,
         own=own,
         safe_above=safe_above,
@@ -272,8 +306,8 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         doubts=[_row(judged, doubt) for doubt in doubts],
         caveats=caveats,
         rate=_rate(judged, caveats),
-        library=library,
-        next=_remedy(judged, verdict, caveats, library),
+        library=judged.library,
+        next=_remedy(judged, verdict, caveats),
     )
 
 
@@ -283,7 +317,7 @@ def _range(estimate: Estimate) -> Range:
     )
 
 
-def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
+def _use(judged: Judged) -> Use | None:
     """The number to use; None where there is none, or no end to what is safe."""
     settled = judged.settled
     design = judged.aim.design
@@ -305,8 +339,8 @@ def _use(judged: Judged, library: LibraryRange | None) -> Use | None:
             factor = max(factor, 1.0)
     best = settled.best_estimate
     margins = [best, *(doubt.margin for doubt in settled.doubts)]
-    if library is not None:
-        margins += [library.weak, library.strong]
+    if judged.library is not None:
+        margins += [judged.library.weak, judged.library.strong]
     ends = [margin for margin in margins if margin is not None and math.isfinite(margin)]
     return Use(
         path=free.solve,
@@ -331,42 +365,6 @@ def _band(settled: Settled) -> list[CurvePoint]:
             points = zip(values, low, high, strict=True)
             return [CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
     return []
-
-
-def _library(judged: Judged) -> LibraryRange | None:
-    """What the library's range of a failure mode would make of the number: of one that governs;
-    else of that by which most would fail at the number by the weak end, where this leaves less.
-    """
-    settled = judged.settled
-    aim = judged.aim
-    governing = settled.governing
-    governs = governing.code == "assumed strength"
-    if judged.line is None or not aim.modes or (settled.number is None and not governs):
-        return None
-
-    def failures(mode: AssumedMode) -> float:
-        """Those of a mode where doubts are weighed, by the weak end of its range."""
-        curve = settled.by_strengths(mode.limit, [mode.weak])[0, 0].mean(axis=1)
-        return settled.line.at(curve, settled.weighed_at)
-
-    named = [mode for mode in aim.modes if mode.limit.name == governing.limit.name]
-    mode = max(named or aim.modes, key=failures)
-    rest = aim.without(mode.limit.name)
-
-    def number(law: Law) -> float | None:
-        """The number by another strength of the mode."""
-        other = replace(mode, limit=replace(mode.limit, strength=law))
-        return replace(settled, aim=replace(rest, modes=(*rest.modes, other))).number
-
-    weak = number(mode.weak)
-    if not governs and settled.is_number(weak):
-        return None
-    return LibraryRange(
-        mode=mode.called,
-        weak=weak,
-        strong=number(mode.strong),
-        mean_strengths=(mode.weak.mean(), mode.strong.mean()),
-    )
 
 
 def _rate(judged: Judged, caveats: Sequence[Caveat]) -> RateRange | None:
@@ -511,7 +509,6 @@ def _remedy(
     judged: Judged,
     verdict: VerdictWord,
     caveats: Sequence[Caveat],
-    library: LibraryRange | None = None,
 ) -> Remedy:
     """What to do next: first for a caveat that no measurement lifts, the most urgent one, and of a
     kind that on what governs; else for what governs.
@@ -531,6 +528,7 @@ def _remedy(
     if line is not None and governing.code != "assumed strength" and line.use is None:
         return _without_number(line)
     if verdict == "met":
+        library = judged.library
         if library is None or judged.settled.keeps_plan(library.weak):
             return Remedy(code="nothing")
         # a strength of the library whose weak end would miss the target
@@ -674,41 +672,37 @@ def assumed_answers(judged: Sequence[Judged]) -> Rows:
     """Failure probabilities at the plan with something taken otherwise, each limit by itself."""
     for aim in judged:
         for doubt in aim.plan.doubts:
-            if doubt.code in _TEXTS or doubt.opposite is not None:
-                yield from _doubt_answers(aim, doubt)
-
-
-def _doubt_answers(judged: Judged, doubt: Doubt) -> Rows:
-    limit = doubt.limit
-    law = limit.resistance
-    subject = limit.subject
-    low = high = None
-    note = ""
-    if doubt.opposite is None:
-        name = doubt.detail.replace("weibull", "Weibull")
-        at = "assumed: " + _TEXTS[doubt.code].format(name)
-        if doubt.code == "contact law" and name:
-            at += f", {name} strength"
-        value = limit.missed(doubt.single[0])
-    else:
-        at = f"tests: {doubt.detail}"
-        value = None
-        low, high = sorted(limit.missed(end[0]) for end in (doubt.curve, doubt.opposite))
-        if isinstance(law, Law) and law.family.name == doubt.detail:
-            at = "tests"
-            value = np.clip(limit.missed(judged.plan.middle(limit)[0]), low, high)
-        note = (
-            f"{LEVEL_TEXT} range over the strengths that the tests allow, with the other failure "
-            "modes"
-        )
-    yield number_row(
-        subject,
-        "failure_probability",
-        at,
-        value,
-        low,
-        high,
-        runs=judged.plan.line.rows.size,
-        method="epistemic",
-        note=note,
-    )
+            if doubt.code not in _TEXTS and doubt.opposite is None:
+                continue
+            limit = doubt.limit
+            law = limit.resistance
+            low = high = None
+            note = ""
+            if doubt.opposite is None:
+                name = doubt.detail.replace("weibull", "Weibull")
+                at = "assumed: " + _TEXTS[doubt.code].format(name)
+                if doubt.code == "contact law" and name:
+                    at += f", {name} strength"
+                value = limit.missed(doubt.single[0])
+            else:
+                at = f"tests: {doubt.detail}"
+                value = None
+                low, high = sorted(limit.missed(end[0]) for end in (doubt.curve, doubt.opposite))
+                if isinstance(law, Law) and law.family.name == doubt.detail:
+                    at = "tests"
+                    value = np.clip(limit.missed(aim.plan.middle(limit)[0]), low, high)
+                note = (
+                    f"{LEVEL_TEXT} range over the strengths that the tests allow, with the other "
+                    "failure modes"
+                )
+            yield number_row(
+                limit.subject,
+                "failure_probability",
+                at,
+                value,
+                low,
+                high,
+                runs=aim.plan.line.rows.size,
+                method="epistemic",
+                note=note,
+            )

@@ -54,12 +54,12 @@ from .sentences import (
 Row = Sequence[str]
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
-#: where a doubt without a margin stands among margins, and its text
-_WITHOUT_MARGIN: dict[MarginNote, tuple[float, str]] = {
-    "everywhere": (inf, "whole range"),
-    "nowhere": (-inf, "none"),
-    "too few rows": (-inf, "not known"),
-    "": (-inf, DASH),
+#: the text of a doubt without a margin
+_WITHOUT_MARGIN: dict[MarginNote, str] = {
+    "everywhere": "whole range",
+    "nowhere": "none",
+    "too few rows": "not known",
+    "": DASH,
 }
 
 
@@ -124,15 +124,15 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         sign = -1.0
 
     def order(doubt: Doubt) -> float:
-        if doubt.margin is None:
-            return _WITHOUT_MARGIN[doubt.margin_note][0]
-        return sign * doubt.margin
+        if doubt.margin is not None:
+            return sign * doubt.margin
+        return inf if doubt.margin_note == "everywhere" else -inf
 
     doubts = sorted(decision.doubts, key=order)[:MOST_ROWS]
     number = DecisionText(results, decision).number
     rows = []
     for doubt in doubts:
-        margin = _WITHOUT_MARGIN[doubt.margin_note][1]
+        margin = _WITHOUT_MARGIN[doubt.margin_note]
         if doubt.margin is not None:
             margin = number(doubt.margin)
         at = (
