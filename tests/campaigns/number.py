@@ -22,12 +22,12 @@ from tests.campaigns import options, table, tell
 from uqsphere.arrays import Array
 from uqsphere.models.model import Model
 from uqsphere.propagation.decision import Settled
-from uqsphere.propagation.design import Design, at_normals, demands_of
+from uqsphere.propagation.design import Design, demands_of
 from uqsphere.propagation.doubts import LAWS, Doubt
 from uqsphere.propagation.failure_modes import means_fracture
 from uqsphere.propagation.grow import grow
 from uqsphere.propagation.line import Line, YieldingRows
-from uqsphere.propagation.tables import evaluate, with_number
+from uqsphere.propagation.tables import evaluate
 from uqsphere.propagation.verdict import Judged, judge
 from uqsphere.study import Limit, load_study, shipped_studies
 from uqsphere.uq import Law, Sample
@@ -121,13 +121,10 @@ def _rows_at(
     assert settled is not None
     margins = design.study.margins
     assert margins is not None
-    joint = design.study.moved(number).inputs().only(design.variables)
-    points = at_normals(joint, rng.standard_normal((1, rows, len(joint.names))))
     if margins.limit is not None:
         raise ValueError("the free number is a strength")
-    if margins.solve not in points.names:
-        points = with_number(points, margins.solve, number)
-    sample = evaluate(design, model, points)
+    normals = rng.standard_normal((1, rows, len(design.variables)))
+    sample = evaluate(design, model, design.at_value(normals, number))
     yielding = judged.aim.yielding
     if settled.governing.code != "contact law" or yielding is None:
         return sample

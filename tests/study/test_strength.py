@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from uqsphere.mechanics import contact
 from uqsphere.mechanics.crushing import Demand, force_at, value_at
 from uqsphere.models.model import Model
 from uqsphere.propagation.design import Design, demands_of
-from uqsphere.propagation.tables import evaluate, with_number
+from uqsphere.propagation.tables import evaluate
 from uqsphere.report.study import described
 from uqsphere.study import Limit, Study, load_study
 from uqsphere.uq import Law, Sample
@@ -423,7 +424,12 @@ def test_rows_and_the_free_number_have_one_size_law(load: Load, tmp_path: Path) 
         design = Design.of(study)
         points = design.points(8)
         if moves:
-            points = with_number(points, "sphere.radius", radius)
+            column = np.full(points.scores.shape[:2], radius)
+            points = replace(
+                points,
+                names=(*points.names, "sphere.radius"),
+                inputs=np.dstack([points.inputs, column]),
+            )
         sample = evaluate(design, Model(design.study), points)
         forces.append(sample.answer(study.limits[0].column))
     assert forces[0] == pytest.approx(forces[1], rel=1e-9)

@@ -174,11 +174,24 @@ class Design:
         """Random numbers of a task, by the seed of the study."""
         return random_generator(self.study.seed, task)
 
-    def points(self, count: int, start: int = 0, joint: Joint | None = None) -> Sample:
-        """`count` points of every replicate, from the `start`-th of its sequence on; `joint`
-        replaces the variables.
+    def points(self, count: int, start: int = 0) -> Sample:
+        """`count` points of every replicate, from the `start`-th of its sequence on."""
+        return at_normals(self.drawn, self.normals(count, start))
+
+    def at_value(self, normals: Array, value: float) -> Sample:
+        """The points at independent standard normals (R, n, D) where the free number has a value;
+        one that is fixed in the study stands behind the variables.
         """
-        return at_normals(joint or self.drawn, self.normals(count, start))
+        points = at_normals(self.study.moved(value).inputs().only(self.variables), normals)
+        free = self.study.moving
+        if free is None or free.solve in self.inputs:
+            return points
+        column = np.full(normals.shape[:2], value)
+        return replace(
+            points,
+            names=(*points.names, free.solve),
+            inputs=np.dstack([points.inputs, column]),
+        )
 
     @cached_property
     def _kept(self) -> dict[str, Array]:

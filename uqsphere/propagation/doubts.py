@@ -38,8 +38,7 @@ from uqsphere.uq.limit_state import make_union
 from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .limits import common_factor
-from .line import CLOSE, Line, YieldingRows, ends_by_rows, exceedance, score
-from .tables import Compared
+from .line import CLOSE, Line, YieldingRows, exceedance, score
 
 #: strengths that tests allow
 LAWS = 400
@@ -421,7 +420,7 @@ class Curves:
         carried_by = [*map(self._carrying, rows)]
         curves = [self._ends(limit, *parts) for parts in zip(base, carried_by, strict=True)]
         if self.line.compared is not None:
-            curves = self._by_rows(limit, base, self.line.compared)
+            curves = self._by_rows(limit, base)
         # the failed rows that are left out would all have been on the unsafe side
         for k, exceeded in enumerate(rows):
             failed = [np.isnan(part) for part in self.line.by_value(exceeded)]
@@ -445,13 +444,15 @@ class Curves:
         """
         limit = doubt.limit
         middle = self.middle(limit)
+        return self.keeps(limit, middle) and not self.keeps(limit, middle + doubt.failed)
 
-        def keeps(curve: Array) -> bool:
-            if len(curve) > 1:
-                return self.margin(limit, curve) is not None
-            return bool(limit.missed(curve[0]) <= limit.target)
-
-        return keeps(middle) and not keeps(middle + doubt.failed)
+    def keeps(self, limit: Limit, curve: Array) -> bool:
+        """Whether a curve (K,) of a limit keeps its target somewhere along the line, or at the
+        plan.
+        """
+        if len(curve) > 1:
+            return self.margin(limit, curve) is not None
+        return bool(limit.missed(curve[0]) <= limit.target)
 
     def _lost(self, failed: Sequence[Flags]) -> Array:
         """The shares (K,) that rows of each value which failed may stand for: no more than at a
@@ -462,7 +463,7 @@ class Curves:
         nearer = np.minimum.accumulate(own[self._from_unsafe])[self._from_unsafe]
         return np.where(surely > nearer, own, nearer)
 
-    def _by_rows(self, limit: Limit, base: Array, compared: Compared) -> list[Array]:
+    def _by_rows(self, limit: Limit, base: Array) -> list[Array]:
         """The unsafe ends (K,) of probabilities (2, K, R) of a limit by a slow model: what its rows
         leave open, and do not show, of every limit that adds up with it is added.
         """
@@ -473,7 +474,7 @@ class Curves:
         away = []
         for other in adding:
             means = self.base(other)[0]
-            ends = ends_by_rows(self.line.design, compared, other, self.line.samples, means)
+            ends = self.line.ends_by_rows(other, means)
             away.append(ends[2 + self.survive] - means.mean(axis=1))
         alone, joint = base.mean(axis=2)
         return [alone + away[0], np.clip(joint + np.sum(away, axis=0), 0.0, 1.0)]

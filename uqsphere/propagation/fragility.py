@@ -6,6 +6,7 @@ and their spread is the interval.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,13 +16,13 @@ from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
 from uqsphere.results.answers import Rows, estimate_row, number_row
 from uqsphere.study import VALUES, Limit, Study
-from uqsphere.uq import Estimate, Sample
+from uqsphere.uq import Estimate
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
 from uqsphere.uq.estimate import REPLICATES, absent, carriers, lost_share
 
 from .design import Design
-from .line import Line, ends_by_rows, evaluated_at, exceedance
+from .line import Line, evaluated_at, exceedance, line_of
 from .tables import Tables
 
 METHOD = "the same points at every value"
@@ -62,23 +63,21 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     """The curve of a limit, with the free number at the study's probabilities and the target, or at
     others.
     """
-    design = tables.design
-    margins = design.study.margins
-    assert margins is not None
-    line = tables.line
-    if margins.limit is not None:
-        line = dict.fromkeys(margins.grid(), tables.sample)
-    means, carrying, lost = _along(design, line, limit)
+    margins = tables.design.study.margins
+    line = line_of(tables, tables.sample.count)
+    assert margins
+    assert line
+    means, carrying, lost = _along(line, limit)
     ends = None
-    if tables.compared is not None:
-        ends = ends_by_rows(design, tables.compared, limit, line, means[0])
+    if line.compared is not None:
+        ends = line.ends_by_rows(limit, means[0])
 
     def fitted(shift: Array | float = 0.0) -> Fragility:
         return fragility_of(
-            np.array([*line]),
+            np.array(line.values),
             np.clip(means + shift, 0.0, 1.0),
             targets or sorted({*margins.for_probability, limit.allowable}),
-            samples=[rows.count for rows in line.values()],
+            samples=line.counts,
             carrying=carrying,
             ends=ends,
         )
@@ -90,9 +89,7 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
     return fitted().allowing(bounds)
 
 
-def _along(
-    design: Design, line: Mapping[float, Sample], limit: Limit
-) -> tuple[Array, Sequence[float], Array]:
+def _along(line: Line, limit: Limit) -> tuple[Array, Sequence[float], Array]:
     """Mean probabilities (3, K, R) of exceedance of a limit at each value of a line: as computed,
     and where as few and as many as possible exceed of the rows whose record ended too early or that
     failed.  Beside them how many rows carry them, or their complement if fewer do (K,), and the
@@ -101,8 +98,8 @@ def _along(
     means = []
     lost = []
     carrying = []
-    for value, sample in line.items():
-        state = Line(design=design, samples={value: sample}).state(limit)
+    for value, sample in line.samples.items():
+        state = replace(line, samples={value: sample}).state(limit)
         exceeded, held = state.tails()
         carrying.append(min(carriers(exceeded), carriers(held)))
         mean = exceeded.sum(axis=1) / np.maximum((~state.broken).sum(axis=1), 1)

@@ -24,10 +24,8 @@ from uqsphere.uq.estimate import count_bound, fold_spread, student
 
 from .design import Design
 from .limits import state_of
-from .tables import Compared, Tables, answered, check_failures, evaluate, input_rows, with_number
+from .tables import Compared, Tables, answered, check_failures, evaluate, input_rows
 
-#: points of a replicate, where every value of the free number has the same rows
-_SHARED = 1024
 #: values of the free number are told apart by this share of its range, and are no closer
 CLOSE = 1e-3
 #: one in so many points serves a doubt that takes many strengths or other model runs, and at least
@@ -120,6 +118,61 @@ class Line:
         means: Array = total / np.maximum(kept, 1.0)
         return means.T
 
+    def ends_by_rows(self, limit: Limit, means: Array) -> Array:
+        """Ends (4, K) of the mean exceedance (K, R) of a limit predicted from compared rows: of
+        its interval, and of a wider one that allows for what no row shows.
+
+        Each end rests on the sqrt(n) rows of the model that are nearest to the value, so that
+        averages follow the curve while their noise falls, on the error that these have in common
+        with their neighbours (`_common_error`), which an average over both of its signs hides, and
+        on how much the expansions disagree.
+        """
+        design = self.design
+        compared = self.compared
+        margins = design.study.margins
+        assert margins
+        assert compared
+        state = state_of(design, limit, compared.sample)
+        residuals = state.demands[0] - state.demands[1:].mean(axis=0)
+        products = residuals[1:] * residuals[:-1]
+        # as often of the sign of the neighbour as by chance in one of twenty
+        systematic = np.sign(products).mean() > student(math.inf, 0.9) / math.sqrt(len(products))
+        near: Places | slice = slice(None)
+        influence = []
+        expected = []
+        cells = []
+        shifted = []
+        for value, sample in self.samples.items():
+            factor = design.study.demand_factor(limit, value)
+            shift = 0.0
+            if compared.values is not None:
+                apart = margins.shares_of(compared.values) - margins.shares_of(np.array(value))
+                near = np.sort(np.argsort(np.abs(apart))[: math.isqrt(len(apart))])
+                shift = _common_error(products[near[:-1]], systematic)
+            observed, *predicted = state.tails(factor)[0][:, near]
+            influence.append(observed - np.mean(predicted, axis=0))
+            expected.append(np.var(predicted, axis=0).mean())
+            # a replicate knows what it counts to one of its rows
+            cells.append(0.0 if isinstance(state.strength, Law) else 1.0 / sample.count)
+            there = state_of(design, limit, sample)
+            either = [replace(there, demands=there.demands + step) for step in (-shift, shift)]
+            shifted.append(0.5 * np.ptp([of.tails(factor)[0].mean() for of in either]))
+        _, *inner = corrected_probability(
+            means.T, np.transpose(influence), np.array(expected), np.array(cells)
+        )
+        middle = means.mean(axis=1)
+        sides = np.array([[-1.0], [1.0]])
+        away = np.maximum(sides * np.subtract(inner, middle), 0.0)
+        away = np.hypot(away, shifted)
+        if compared.folds:
+            by_folds = [
+                state_of(design, limit, fold).tails()[0].mean(axis=1) for fold in compared.folds
+            ]
+            away = np.hypot(away, fold_spread(np.transpose(by_folds)))
+        ends = middle + sides * away
+        missed = count_bound(compared.sample.count, compared.failed)
+        return np.clip([*ends, *(ends + sides * missed)], 0.0, 1.0)
+
     def at(self, curve: Array, value: float) -> float:
         """A curve (K,) at a value between its own."""
         if len(self.values) == 1:
@@ -131,61 +184,6 @@ class Line:
         from scipy.interpolate import PchipInterpolator
 
         return PchipInterpolator(self.places, scores)
-
-
-def ends_by_rows(
-    design: Design, compared: Compared, limit: Limit, line: Mapping[float, Sample], means: Array
-) -> Array:
-    """Ends (4, K) of the mean exceedance (K, R) of a limit that is predicted in the samples of a
-    line: of its interval, and of a wider one that allows for what no row shows.
-
-    Each end rests on the sqrt(n) rows of the model that are nearest to the value, so that averages
-    follow the curve while their noise falls, on the error that these have in common with their
-    neighbours (`_common_error`), which an average over both of its signs hides, and on how much the
-    expansions disagree.
-    """
-    margins = design.study.margins
-    assert margins is not None
-    state = state_of(design, limit, compared.sample)
-    residuals = state.demands[0] - state.demands[1:].mean(axis=0)
-    products = residuals[1:] * residuals[:-1]
-    # as often of the sign of the neighbour as by chance in one of twenty
-    systematic = np.sign(products).mean() > student(math.inf, 0.9) / math.sqrt(len(products))
-    near: Places | slice = slice(None)
-    influence = []
-    expected = []
-    cells = []
-    shifted = []
-    for value, sample in line.items():
-        factor = design.study.demand_factor(limit, value)
-        shift = 0.0
-        if compared.values is not None:
-            apart = margins.shares_of(compared.values) - margins.shares_of(np.array(value))
-            near = np.sort(np.argsort(np.abs(apart))[: math.isqrt(len(apart))])
-            shift = _common_error(products[near[:-1]], systematic)
-        observed, *predicted = state.tails(factor)[0][:, near]
-        influence.append(observed - np.mean(predicted, axis=0))
-        expected.append(np.var(predicted, axis=0).mean())
-        # a replicate knows what it counts to one of its rows
-        cells.append(0.0 if isinstance(state.strength, Law) else 1.0 / sample.count)
-        there = state_of(design, limit, sample)
-        either = [replace(there, demands=there.demands + step) for step in (-shift, shift)]
-        shifted.append(0.5 * np.ptp([of.tails(factor)[0].mean() for of in either]))
-    _, *inner = corrected_probability(
-        means.T, np.transpose(influence), np.array(expected), np.array(cells)
-    )
-    middle = means.mean(axis=1)
-    sides = np.array([[-1.0], [1.0]])
-    away = np.maximum(sides * np.subtract(inner, middle), 0.0)
-    away = np.hypot(away, shifted)
-    if compared.folds:
-        by_folds = [
-            state_of(design, limit, fold).tails()[0].mean(axis=1) for fold in compared.folds
-        ]
-        away = np.hypot(away, fold_spread(np.transpose(by_folds)))
-    ends = middle + sides * away
-    missed = count_bound(compared.sample.count, compared.failed)
-    return np.clip([*ends, *(ends + sides * missed)], 0.0, 1.0)
 
 
 def _common_error(products: Array, systematic: bool) -> float:
@@ -225,12 +223,14 @@ def plan_of(design: Design, sample: Sample) -> Line:
     return Line(design=design, samples={math.nan: sample})
 
 
-def line_of(tables: Tables) -> Line | None:
-    """The line of a run; None without a free number."""
+def line_of(tables: Tables, most: int) -> Line | None:
+    """The line of a run, with so many points of a replicate at most where all values have the same
+    rows; None without a free number.
+    """
     margins = tables.design.study.margins
     samples = tables.line
     if margins is not None and margins.limit is not None:
-        samples = dict.fromkeys(margins.grid(), tables.sample.head(_SHARED))
+        samples = dict.fromkeys(margins.grid(), tables.sample.head(most))
     if not samples:
         return None
     return Line(design=tables.design, samples=samples, compared=tables.compared)
@@ -245,18 +245,13 @@ def evaluated_at(
     Values at an end of the range where too many rows fail are left out; TooManyFailures where
     others answer on both sides, or fewer than two do.
     """
-    margins = design.study.margins
     parts = {}
     for value, count in counts.items():
         start = 0
         if value in before:
             start = before[value].count
         if start < count:
-            joint = design.study.moved(value).inputs().only(design.variables)
-            points = design.points(count - start, start, joint=joint)
-            if margins is not None and margins.solve not in design.inputs:
-                points = with_number(points, margins.solve, value)
-            parts[value] = points
+            parts[value] = design.at_value(design.normals(count - start, start), value)
     if not parts:
         return before
     rows = evaluate(design, model, Sample.join(*parts.values()), part=True)

@@ -34,16 +34,7 @@ from .fragility import margin_and_scale
 from .grow import assessed, first_rows
 from .line import CLOSE, Line, score
 from .progress import Progress
-from .tables import (
-    Compared,
-    Slow,
-    Tables,
-    check_failures,
-    check_sizes,
-    evaluate,
-    input_rows,
-    with_number,
-)
+from .tables import Compared, Slow, Tables, check_failures, check_sizes, evaluate, input_rows
 
 #: rows that measure what the model costs, and rows of a design at most and at least
 PROBE, MOST_ROWS, LEAST_ROWS = 8, 1024, 16
@@ -345,12 +336,9 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
     dense_at_ends = make_law("beta", {"alpha": 0.5, "beta": 0.5}, 0.0, 1.0)
     values = margins.values_at(dense_at_ends.ppf(points[:, -1]))
     normals = points[:, :-1]
-    joints = (design.study.moved(value).inputs().only(names) for value in values.tolist())
-    physical = np.array([joint.physical(row) for joint, row in zip(joints, normals, strict=True)])
-    chosen = Sample.at(names, normals[None], physical[None])
-    if margins.solve not in design.inputs:
-        chosen = with_number(chosen, margins.solve, values)
-    rows = evaluate(design, model, chosen)
+    pairs = zip(normals[:, None, None], values.tolist(), strict=True)
+    chosen = [design.at_value(row, value) for row, value in pairs]
+    rows = evaluate(design, model, Sample.join(*chosen))
     places = np.column_stack([points_of(design, normals), 2.0 * points[:, -1] - 1.0])
     answers = rows.answers[0]
     good = np.isfinite(answers).all(axis=1)

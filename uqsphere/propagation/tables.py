@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, Values, bundle
+from uqsphere.arrays import Array, Places, bundle
 from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
@@ -414,12 +414,6 @@ class Slow(Tables):
         elif self.rows.failed.any():
             reason += '; analysis.on_failure = "drop" gives the indices of those that do'
         return self.no_indices(reason, ROUGH, runs)
-
-
-def with_number(points: Sample, name: str, values: Values) -> Sample:
-    """Points with a fixed number of the study that moves: its value, or values (n,) or (R, n)."""
-    column = np.broadcast_to(values, points.scores.shape[:2])
-    return replace(points, names=(*points.names, name), inputs=np.dstack([points.inputs, column]))
 
 
 def input_rows(points: Sample) -> tuple[list[str], Array]:

@@ -50,6 +50,8 @@ from .tables import Slow, Tables
 
 #: points of a replicate that doubts are asked on at the plan
 _AT_PLAN = 256
+#: and along the free number, where every value has the same rows
+_SHARED = 1024
 
 
 @bundle
@@ -146,7 +148,7 @@ def judge(model: Model, tables: Tables, end: float = math.inf) -> tuple[list[Jud
     for word in dict.fromkeys(limit.aim for limit in design.limits):
         aim = aim_of(design, word, yielding)
         plan = Settled(aim=aim, line=plan_of(design, tables.sample.head(_AT_PLAN)))
-        line = line_of(tables)
+        line = line_of(tables, _SHARED)
         settled = None
         if line is not None:
             if isinstance(tables, Slow) or tables.stopped == "interrupted":
@@ -480,7 +482,7 @@ def _keeps(judged: Judged, doubt: Doubt) -> bool:
             return by_margin is True
         return met is True and by_margin is not False
     if by_margin is None:
-        return bool(limit.missed(doubt.curve[0]) <= limit.target)
+        return judged.plan.keeps(limit, doubt.curve)
     return by_margin
 
 

@@ -116,6 +116,7 @@ def cost(study: Study) -> str:
     from uqsphere.models.model import Model
     from uqsphere.propagation.design import Design
     from uqsphere.propagation.grow import first_count, first_rows, grow
+    from uqsphere.propagation.tables import input_rows
     from uqsphere.propagation.verdict import judge
 
     first = first_rows(study, first_count(study))
@@ -131,8 +132,7 @@ def cost(study: Study) -> str:
         update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
     )
     design = Design.of(replace(study, analysis=few))
-    names = design.inputs
-    rows = np.concatenate(design.points(4).inputs[..., : len(names)])
+    names, rows = input_rows(design.points(4))
     with Model(design.judged, threads=1) as model:  # compiles the integrator, once
         model.evaluate(names, rows, design.columns)
         each = model.seconds_per_row
