@@ -120,10 +120,9 @@ def _breaches(line: Line, limits: Sequence[Limit], yields: Sequence[str] = ()) -
     """
     design = line.design
     warned = (*yields, *map(_range_of, limits))
-    current = {limit.name: limit for limit in design.judged.limits}
     weights = {}
     for limit in limits:
-        state = line.state(current[limit.name])
+        state = line.state(design.limit(limit.name))
         weights[limit.name] = np.nan_to_num(failure_given_inputs(state, limit)).ravel()
     for result in checked_rows(design.judged, *input_rows(line.rows), design.columns):
         beyond = result.grades >= 3

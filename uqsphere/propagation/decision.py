@@ -127,15 +127,14 @@ class Settled(Curves):
         doubt = self.setting
         if not self.adds_up(doubt.limit):
             return doubt
-        candidates = {doubt.limit.name: doubt}
+        candidates = [doubt]
         same_tests = next(group for group in self.aim.groups if doubt.limit in group)
         for other in (*self.doubts, *map(self.computed, self.aim.untargeted)):
-            if self.adds_up(other.limit) and other.limit not in same_tests:
-                candidates.setdefault(other.limit.name, other)
-        candidates |= {mode.limit.name: self.assumed(mode) for mode in self.aim.modes}
-        return max(
-            candidates.values(), key=lambda doubt: self.line.at(doubt.single, self.weighed_at)
-        )
+            as_computed = other.code == "computation" and self.adds_up(other.limit)
+            if as_computed and other.limit not in same_tests:
+                candidates.append(other)
+        candidates += map(self.assumed, self.aim.modes)
+        return max(candidates, key=lambda doubt: self.line.at(doubt.single, self.weighed_at))
 
     def keeps_plan(self, margin: float | None) -> bool:
         """Whether there is a margin, and the plan lies on its safe side; of one that is infinite,

@@ -94,6 +94,10 @@ class Design:
         """The limits of the study file."""
         return self.study.limits
 
+    def limit(self, name: str) -> Limit:
+        """A limit of the study or of a failure mode by its name."""
+        return next(limit for limit in self.judged.limits if limit.name == name)
+
     @cached_property
     def joint(self) -> Joint:
         """All random variables with their dependence: inputs, model factors and strengths."""
@@ -157,8 +161,7 @@ class Design:
         if not margins:
             return math.nan
         if margins.limit:
-            limit = next(limit for limit in self.limits if limit.name == margins.limit)
-            return mean_of(limit.strength)
+            return mean_of(self.limit(margins.limit).strength)
         return self.study.at_means()[margins.solve]
 
     @property
@@ -168,7 +171,7 @@ class Design:
         assert margins is not None
         if not margins.limit:
             return margins.solve
-        return next(limit.quantity for limit in self.limits if limit.name == margins.limit)
+        return self.limit(margins.limit).quantity
 
     def generator(self, task: str) -> np.random.Generator:
         """Random numbers of a task, by the seed of the study."""

@@ -580,17 +580,17 @@ class Curves:
         """
         if self.yielding is None:
             return
-        limits = {judged.name: judged for judged in self.yielding.design.judged.limits}
+        design = self.yielding.design
         aim = replace(
             self.aim,
-            limits=[limits[asked.name] for asked in self.aim.limits],
-            untargeted=[limits[asked.name] for asked in self.aim.untargeted],
+            limits=[design.limit(asked.name) for asked in self.aim.limits],
+            untargeted=[design.limit(asked.name) for asked in self.aim.untargeted],
         )
         curves = Curves(aim=aim, line=self.yielding)
         before = self.few.base(limit), self.base(limit)
         strengths = [other for other in others if other.laws]
         for other in (Alternative(code="contact law", limit=limit), *strengths):
-            rows = curves.by_strengths(limits[limit.name], other.laws)
+            rows = curves.by_strengths(design.limit(limit.name), other.laws)
             unsafe = self._shifted(limit, rows, *before, self._unsafe)
             yield self._doubt(replace(other, code="contact law"), *unsafe)
 

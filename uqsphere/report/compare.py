@@ -13,7 +13,7 @@ from uqsphere.arrays import Array, Names
 from uqsphere.errors import UsageError
 from uqsphere.quantities import format_probability, format_value
 from uqsphere.results import Run
-from uqsphere.results.types import Answer, InputEntry, Kind, Range
+from uqsphere.results.types import InputEntry, Kind, Range
 from uqsphere.uq import LEVEL_TEXT
 
 from .format import DASH, change_text, ends_of, label, meaning, plain_name, value
@@ -72,19 +72,17 @@ def _changes(runs: Sequence[Run]) -> list[_Change]:
     """What `compare` lists, in its order."""
     if len(runs) < 2:
         raise UsageError("compare takes at least two runs: uqsphere compare BEFORE AFTER")
-    answers = dict[tuple[str, Kind, str, str], dict[int, Answer]]()
-    for number, run in enumerate(runs):
-        for row in run.results.answers:
-            if row.answer in COMPARED:
-                # margins of different free numbers are different answers
-                place = row.subject, row.answer, str(row.at), row.unit
-                answers.setdefault(place, {})[number] = row
+    answers = []
+    for run in runs:
+        rows = (row for row in run.results.answers if row.answer in COMPARED)
+        # margins of different free numbers are different answers
+        answers.append({(row.subject, row.answer, str(row.at), row.unit): row for row in rows})
     limits = runs[0].results.study.limits
     targets = {f"limits.{name}": entry.target for name, entry in limits.items() if entry.has_target}
     changes = []
-    for place, rows in sorted(answers.items()):
+    for place in sorted({*chain(*answers)}):
         subject, answer, *_ = place
-        ends = ends_of(rows.get(number) or Range() for number in range(len(runs)))
+        ends = ends_of(rows.get(place, Range()) for rows in answers)
         values, low, high = ends
         half_widths = 0.5 * np.nan_to_num(high - low)
         scale = max(abs(values[0]), half_widths[0])
