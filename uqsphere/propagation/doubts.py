@@ -39,13 +39,14 @@ from .design import Design
 from .failure_modes import REFUTED, AssumedMode, means_fracture
 from .limits import common_factor
 from .line import CLOSE, Line, YieldingRows, exceedance, score
+from .tables import FEW
 
 #: strengths that tests allow
 LAWS = 400
 #: factor on a strength, or its inverse, up to which the one that a plan needs is looked for
 _STRONGER = 100.0
-#: rows that carry a probability, below which their count bounds it, and at least at a number
-FEW, FEWEST = 20.0, 5.0
+#: rows that carry a probability at least at a number
+FEWEST = 5.0
 
 
 @bundle

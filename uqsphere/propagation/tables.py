@@ -32,6 +32,8 @@ from .design import Design, with_test_forces
 #: and at most: a sample of so many needs no control
 MANY = 16
 MOST_MANY = 1 << 16
+#: rows that carry a probability, below which their count bounds it
+FEW = 20.0
 ROUGH = "runs of the model"
 #: what answers are of where model runs failed
 OF_ANSWERED = "of the model runs that answered"
@@ -232,10 +234,10 @@ class Tables:
     ) -> Estimate:
         """The failure probability of the sample; only a bound where too few rows carry it."""
         small = sampled.value is not None and 0.0 < sampled.value < 1e-3
-        if not small or carriers(chance(self.sample)) >= 20.0:
+        if not small or carriers(chance(self.sample)) >= FEW:
             return sampled
         bound = max(sampled.high or 0.0, count_bound(self.sample.size))
-        reason = "fewer than 20 effective samples contribute to it; only a bound is given"
+        reason = f"fewer than {FEW:.0f} effective samples contribute to it; only a bound is given"
         bounds = absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
         return replace(bounds, high_unseen=sampled.high_unseen)
 
