@@ -371,7 +371,7 @@ class Analysis(TomlTable):
     cost: Seconds | None = None
     """run time of one black-box model run (default: measured)"""
     time_limit: Seconds | None = None
-    """time limit of one black-box model run; loading the model has as long, and at least ten
+    """time limit of one black-box model run; loading the model has as long, at least ten
     minutes"""
 
     @property
