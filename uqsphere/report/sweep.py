@@ -90,7 +90,7 @@ class Sweep:
         return [lookup(path_of(key)).called for key in self.keys]
 
 
-def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]], Study]) -> Sweep:
+def plan_sweep(over: Names, folder: Path, load: Callable[[Names], Study]) -> Sweep:
     """The points of a sweep; every study of it is validated before the first one runs.
 
     over : ``KEY=VALUE, VALUE, ...`` once or twice; load : gives the study with ``KEY=VALUE`` set
@@ -115,7 +115,7 @@ def plan_sweep(over: Sequence[str], folder: Path, load: Callable[[Sequence[str]]
     return Sweep(title=study.title, folder=folder, keys=tuple(grid), points=[*points.values()])
 
 
-def _grid(over: Sequence[str]) -> dict[str, list[str]]:
+def _grid(over: Names) -> dict[str, list[str]]:
     grid = {}
     for text in over:
         key, _, listed = map(str.strip, text.partition("="))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places
+from uqsphere.arrays import Array, Duo, Places
 from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, within
 from uqsphere.materials import materials_of
 from uqsphere.mechanics.contact import reduced_modulus
@@ -451,7 +451,7 @@ def _warn_of_slips(
 # --- the sphere in the tests ----------------------------------------------------------------------
 
 
-def _platens(draft: Draft, raw: Any) -> tuple[float, float]:
+def _platens(draft: Draft, raw: Any) -> Duo:
     """E [Pa], infinite if rigid, and nu of the platens of the tests; raises Fault."""
     choices = {"bars": (draft.mean("bars.E"), draft.mean("bars.nu")), "rigid": (math.inf, 0.3)}
     for name, material in materials_of("bars").items():
@@ -478,7 +478,7 @@ def _radii(draft: Draft) -> Sequence[float]:
     return radii
 
 
-def _sphere(draft: Draft, platens: tuple[float, float]) -> dict[str, float]:
+def _sphere(draft: Draft, platens: Duo) -> dict[str, float]:
     """The sphere of the tests at its means, as `uqsphere.mechanics.crushing` takes it."""
     assert draft.scene is not None
     sphere = {key: draft.mean(f"sphere.{key}") for key in ("E", "nu", "density")}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from uqsphere.arrays import Array, Flags, Places, frozen
+from uqsphere.arrays import Array, Duo, Flags, Places, frozen
 from uqsphere.documents import (
     WORDS,
     Fault,
@@ -84,7 +84,7 @@ class Tested:
     diameter: float
     forces: tuple[float, ...] = ()
     diameters: tuple[float, ...]
-    platens: tuple[float, float] = (math.inf, 0.3)
+    platens: Duo = (math.inf, 0.3)
     sphere: Mapping[str, float] = field(default_factory=dict)
     law: Law | None = None
     exponent: float
