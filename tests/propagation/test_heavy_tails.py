@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 import uqsphere
@@ -46,3 +47,26 @@ def test_mean_and_scatter_of_a_weibull_input_are_those_of_its_law(seed: int) -> 
         row = answers[answer, ""]
         assert row.low <= truth <= row.high
         assert row.high - row.low < 1e-6
+
+
+def test_an_expansion_of_the_logarithm_is_integrated_beyond_the_points_of_the_law() -> None:
+    # ln y = a b is known exactly from 64 rows: what is left is the integral of its exponential, of
+    # which the mean square comes from where one point in thousands lies
+    study = Study(
+        inputs={"a": NORMAL, "b": {"dist": "uniform", "lower": 0.0, "upper": 1.0}},
+        outputs="y",
+        analysis={"cost": "10 s", "budget": {"evaluations": 64, "time": "10 h"}},
+        seed=1,
+    )
+    run = uqsphere.run(study, lambda columns: {"y": np.exp(columns["a"] * columns["b"])})
+    rows = run.results.answers
+    answers = {(row.answer.value, row.at): row for row in rows if row.subject == "y"}
+    b = (np.arange(1000) + 0.5) / 1000
+    mean, square = (float(np.exp(0.5 * (k * b) ** 2).mean()) for k in (1, 2))
+    sd = math.sqrt(square - mean**2)
+    first = float(np.exp(0.5 * b**2).var()) / sd**2
+    truths = {("sd", ""): sd, ("sobol_first", "b"): first, ("sobol_total", "a"): 1.0 - first}
+    for key, truth in truths.items():
+        row = answers[key]
+        assert row.low <= truth <= row.high, key
+        assert row.high - row.low < 0.005, key

@@ -955,3 +955,16 @@ def test_a_model_that_changes_the_folder_moves_no_results(
 
     uqsphere.run(study(1.0), restless, out="here", threads=1)
     assert (tmp_path / "here" / "report.html").is_file()
+
+
+def test_a_constant_output_of_a_slow_model_has_no_scatter() -> None:
+    # the mean of 64 times 3.7 is not 3.7 to the last bit
+    study = Study(
+        inputs={"a": NORMAL},
+        outputs="y",
+        analysis={"cost": "10 s", "budget": {"evaluations": 64, "time": "10 h"}},
+        seed=1,
+    )
+    run = uqsphere.run(study, lambda inputs: {"y": np.full(len(inputs["a"]), 3.7)})
+    sd = next(row for row in run.results.answers if row.answer.value == "sd")
+    assert (sd.value, sd.low, sd.high) == (0.0, 0.0, 0.0)

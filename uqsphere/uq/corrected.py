@@ -124,6 +124,8 @@ class Corrected:
         The upper end is open where the tail may be too heavy for a variance.
         """
         outputs = self.response.outputs
+        if not np.ptp(outputs):  # nothing but the rounding of a sum
+            return self._estimate(0.0, 0.0, 0.0)
         centre = self._table_moment(1)[0].mean() + self.response.residuals.mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)

@@ -1,7 +1,8 @@
 """The fitted expansion: its values, moments, Sobol' indices, and the same as an object of chaospy.
 
 Moments and indices are those of the coefficients.  An expansion of ln y has a plain form by least
-squares at points of the law, which is the control variate of the pairs of points that integrate it.
+squares, which is the control variate of the pairs of points that integrate it.  What the two differ
+by lies far out: there are more points there than the law has (`_where_large`).
 """
 
 import math
@@ -14,17 +15,19 @@ import numpy as np
 
 from uqsphere.arrays import Array, Duo, Flags, Names, Pair, Places, bundle, frozen, special
 
-from ..estimate import ratio_of_means, spread, spreads, student
+from ..estimate import carriers, freedom, ratio_of_means, spread, student
 from ..indices import Blocks, jansen_total, saltelli_first
 from ..points import sobol_points
 from .basis import (
     Degrees,
     Germ,
     Germs,
+    base_of,
     germ_points,
     highest_degrees,
     nested,
     orthonormal,
+    products,
     rows_of,
     steps_of,
 )
@@ -164,6 +167,11 @@ class Chaos:
         joint = germs[0] if len(germs) == 1 else chaospy.J(*germs)
         return ChaospyObjects(polynomial, expansion, self.coefficients, joint, self.log)
 
+    @property
+    def _inputs(self) -> tuple[int, ...]:
+        """Numbers of the inputs that it has."""
+        return tuple(np.flatnonzero(self.multi_indices.any(axis=0)).tolist())
+
     @cached_property
     def plain_form(self) -> "Chaos":
         """The expansion of the output itself: of one of ln y by least squares, in the inputs that
@@ -171,14 +179,10 @@ class Chaos:
         """
         if not self.log:
             return self
-        inputs = np.flatnonzero(self.multi_indices.any(axis=0))
-        degrees, _ = nested(len(inputs), 0.75, 10, PLAIN)
-        terms = np.zeros((len(degrees), len(self.germs)), int)
-        terms[:, inputs] = degrees
-        points = law_points(self.germs)
-        terms = terms[(terms <= highest_degrees(self.germs, points)).all(axis=1)]
+        terms, points, weights = _plain_points(self.germs, self._inputs)
         rows = rows_of(self.germs, points, terms)
-        coefficients: Any = np.linalg.solve(rows @ rows.T, rows @ self.predict(points))
+        weighted = weights * rows
+        coefficients: Any = np.linalg.solve(weighted @ rows.T, weighted @ self.predict(points))
         return Chaos(
             coefficients=coefficients,
             multi_indices=terms,
@@ -220,20 +224,21 @@ class Chaos:
         shares = squares @ parts
         if not self.log:
             return Integrals(mean=mean, sd=unit * math.sqrt(whole), shares=shares / whole)
-        points = _pair_points(self.germs)
+        points, weights = _pair_points(self.germs, self._inputs)
         # about the mean of the plain form: what the two means differ by is no scatter
         own, other = ((form.predict(points) - mean) / unit for form in (self, plain))
-        (tops, variance), (plain_tops, plain_variance) = map(_pair_parts, (own, other))
-        middle = (own - other)[:, :, [0, -1]].mean(axis=(1, 2))
-        scale = whole + variance - plain_variance - (middle**2)[:, None]
-        ratios, off = ratio_of_means(shares.ravel() + tops - plain_tops, scale)
-        t = student(PAIRS_REPLICATES)
+        middles = weights[:, 0] * (own - other)[:, [0, -1]].mean(axis=1)
+        # squares and products have the weight of their pair
+        pairs = [_pair_parts(np.sqrt(weights) * values) for values in (own, other)]
+        (tops, variances), (plain_tops, plain_variances) = pairs
+        scales = whole + variances - plain_variances - middles.mean() ** 2
+        ratios, off = ratio_of_means(shares.ravel() + tops - plain_tops, scales)
         return Integrals(
-            mean=mean + unit * float(middle.mean()),
-            sd=unit * math.sqrt(max(scale.mean(), 0.0)),
+            mean=mean + unit * float(middles.mean()),
+            sd=unit * math.sqrt(max(scales.mean(), 0.0)),
             shares=ratios.reshape(2, d),
-            error=t * float(spreads(off).max()),
-            moment_errors=(unit * (t * spread(middle)), unit**2 * (t * spread(scale[:, 0]))),
+            error=float(np.max([*map(_half_width, off.T)])),
+            moment_errors=(unit * _half_width(middles), unit**2 * _half_width(scales[:, 0])),
         )
 
     def rows(self, points: Array) -> Array:
@@ -264,12 +269,22 @@ class Chaos:
 
 
 def _pair_parts(y: Array) -> Pair:
-    """Numerators (R, 2 d) of first and total indices, and variances (R, 1), of values (R, N, d + 2)
-    at the blocks of pairs.
+    """What each pair adds to the numerators (n, 2 d) of first and total indices, and to variances
+    (n, 1), of values (n, d + 2) at the blocks of pairs.
     """
-    parts = y[:, :, :1], y[:, :, -1:], y[:, :, 1:-1]
+    blocks = y[:, None]
+    parts = blocks[:, :, :1], blocks[:, :, -1:], blocks[:, :, 1:-1]
     first, variance = saltelli_first(*parts)
     return np.hstack([first, jansen_total(*parts)[0]]), variance
+
+
+def _half_width(parts: Array) -> float:
+    """That of the mean of what pairs add (n,), with as many degrees of freedom as replicates and
+    carrying points allow.
+    """
+    means = parts.reshape(PAIRS_REPLICATES, -1).mean(axis=1)
+    points = carriers((parts - parts.mean()) ** 2)
+    return student(1.0 + freedom(PAIRS_REPLICATES, points)) * spread(means)
 
 
 @lru_cache(maxsize=4)
@@ -279,17 +294,62 @@ def law_points(germs: Germs) -> Array:
     return germ_points(special.ndtri(points), germs)
 
 
-@lru_cache(maxsize=4)
-def _pair_points(germs: Germs) -> Array:
-    """Germ points (R, N, d + 2, d) of the pairs that integrate ln y: replicates of base points with
-    their blocks.
+def _where_large(uniforms: Array, germs: Germs, terms: Places) -> Pair:
+    """Normal scores (n, d) at uniforms (n, d + 1), and the density of the law over theirs (n,):
+    each point is one of a random term (P, d), and lies where that is large.
+
+    Least squares, and the mean squares of what they leave, need such points (A. Cohen, G.
+    Migliorati, SMAI J. Comput. Math. 3, 2017, 181).  The square of the Hermite polynomial of degree
+    k has the variance 2 k + 1 under the normal law; those of Legendre polynomials tend to the
+    arcsine law.
     """
-    blocks = Blocks(inputs_count=len(germs))
-    points = [
-        blocks.mix(*blocks.base_points(PAIRS, seed=0, task="polynomial chaos", replicate=r))
-        for r in range(PAIRS_REPLICATES)
-    ]
-    return germ_points(special.ndtri(np.array(points)), germs)
+    chosen = terms[(uniforms[:, -1] * len(terms)).astype(int)]
+    widths = np.sqrt(2.0 * np.arange(terms.max() + 1) + 1.0)[:, None]
+    scores = np.empty(chosen.shape)
+    densities = []
+    for j, germ in enumerate(germs):
+        u, degrees = uniforms[:, j], chosen[:, j]
+        if base_of(germ) == "normal":
+            scores[:, j] = special.ndtri(u) * widths[degrees, 0]
+            density = np.exp(0.5 * (1.0 - widths**-2) * scores[:, j] ** 2) / widths
+        else:
+            u = np.where(degrees > 0, np.sin(0.5 * np.pi * u) ** 2, u)
+            scores[:, j] = special.ndtri(u)
+            density = np.tile(1.0 / (np.pi * np.sqrt(u * (1.0 - u))), (len(widths), 1))
+            density[0] = 1.0
+        densities.append(density)
+    return scores, 1.0 / products(densities, terms).mean(axis=0)
+
+
+@lru_cache(maxsize=4)
+def _plain_points(germs: Germs, inputs: tuple[int, ...]) -> tuple[Places, Array, Array]:
+    """Degrees (P, d) of the plain form in some inputs, and the germ points (BLOCK, d) that it is
+    fitted at, with weights (BLOCK,).
+    """
+    degrees, _ = nested(len(inputs), 0.75, 10, PLAIN)
+    terms = np.zeros((len(degrees), len(germs)), int)
+    terms[:, inputs] = degrees
+    uniforms = sobol_points(len(germs) + 1, BLOCK, seed=0, task="polynomial chaos")
+    scores, weights = _where_large(uniforms, germs, terms)
+    points = germ_points(scores, germs)
+    return terms[(terms <= highest_degrees(germs, points)).all(axis=1)], points, weights
+
+
+@lru_cache(maxsize=4)
+def _pair_points(germs: Germs, inputs: tuple[int, ...]) -> Pair:
+    """Germ points (n, d + 2, d) of the pairs that integrate ln y in some inputs, and weights
+    (n, 1): of replicates of base points, one behind the other, with their blocks.
+    """
+    terms, *_ = _plain_points(germs, inputs)
+    blocks, draws = (Blocks(inputs_count=len(germs) + more) for more in (0, 1))
+    points = []
+    weights = []
+    for r in range(PAIRS_REPLICATES):
+        halves = draws.base_points(PAIRS, seed=0, task="polynomial chaos", replicate=r)
+        (a, of_a), (b, of_b) = (_where_large(half, germs, terms) for half in halves)
+        points.append(blocks.mix(a, b))
+        weights.append(of_a * of_b)
+    return germ_points(np.concatenate(points), germs), np.concatenate(weights)[:, None]
 
 
 def _product(fit: Chaos) -> Integrals:
