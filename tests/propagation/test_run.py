@@ -968,3 +968,28 @@ def test_a_constant_output_of_a_slow_model_has_no_scatter() -> None:
     run = uqsphere.run(study, lambda inputs: {"y": np.full(len(inputs["a"]), 3.7)})
     sd = next(row for row in run.results.answers if row.answer.value == "sd")
     assert (sd.value, sd.low, sd.high) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", [15, 25])
+def test_a_quantile_at_a_bound_that_the_output_creeps_up_to_is_held(seed: int) -> None:
+    # between two values at which the distribution function is known it rises from 1 to 9 %
+    weights = np.cos(np.arange(20))
+    weights /= np.linalg.norm(weights)
+    study = Study(
+        inputs={f"x{k}": NORMAL for k in range(20)},
+        outputs="y",
+        analysis={
+            "cost": "10 s",
+            "budget": {"evaluations": 256, "time": "100 h"},
+            "quantiles": [0.05],
+        },
+        seed=seed,
+    )
+
+    def model(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"y": np.tanh(3.0 * (weights @ np.stack([*inputs.values()])))}
+
+    answers = uqsphere.run(study, model).results.answers
+    row = next(row for row in answers if row.answer.value == "quantile")
+    truth = math.tanh(3.0 * stats.norm.ppf(0.05))
+    assert row.low <= truth <= row.high

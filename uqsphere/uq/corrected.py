@@ -230,9 +230,13 @@ class Corrected:
         def below(levels: Array) -> float:
             if self._few_values:
                 return above(levels)
-            return float(np.interp(p, levels, places))
+            # between two places the whole of the step may be anywhere
+            last = int(np.searchsorted(levels, p - 1e-12)) - 1
+            return float(places[max(last, 0)])
 
-        at = below(value)
+        at = above(value)
+        if not self._few_values:
+            at = float(np.interp(p, value, places))
         missed = count_bound(self.runs, self.failed)
         upper = max(above(low), at)
         if math.isinf(upper) or (p <= high[0] and not self._few_values):
