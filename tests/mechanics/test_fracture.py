@@ -213,3 +213,23 @@ def test_a_run_of_the_linear_model_tells_the_force_at_which_its_spheres_break(
     forces = [row.value or 0.0 for row in results.where("fracture", Kind.FORCE_AT_FRACTURE)]
     assert len(forces) == 3
     assert all(6400.0 <= force <= 6500.0 for force in forces)
+
+
+def test_a_run_without_a_motion_tells_what_breaks_and_not_when(tmp_path: Path) -> None:
+    text = """
+        sphere = { E = "60 GPa", nu = 0.25, radius = "8 mm", density = "2600 kg/m3" }
+        rig.kind = "drop_weight"
+        hammer.mass = "0.5 kg"
+        hammer.material = "steel"
+        hammer.drop_height = { dist = "normal", mean = "12 mm", cov = 0.04 }
+        anvil = { kind = "thick", material = "steel" }
+        contact.law = "hertz"
+        model.fidelity = "massless"
+        limits.force = { quantity = "P_max", aim = "survive", strength = "1.8 kN" }
+        limits.pressure = { quantity = "p_max", aim = "survive", strength = "2.4 GPa" }
+        analysis.budget.evaluations = 256
+        """
+    results = uqsphere.run(load_study(tmp_path / "study.toml", text=text)).results
+    [broken] = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
+    assert 0.0 < (broken.value or 0.0) < 1.0
+    assert not results.where("fracture", Kind.MODE_SHARE)

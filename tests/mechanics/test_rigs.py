@@ -15,7 +15,7 @@ import pytest
 
 from uqsphere.mechanics import closed_form, contact, stress
 from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.mechanics.fracture import path_of
+from uqsphere.mechanics.fracture import LoadingPath, first_fractures, path_of
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, absent_in, loss_to_waves
@@ -26,6 +26,7 @@ from uqsphere.models.scene import solve_scene
 CONVERGED = json.loads((Path(__file__).parent / "data" / "rig_scenes.json").read_text())
 LIMESTONE = {"sphere.E": 60e9, "sphere.nu": 0.25, "sphere.radius": 0.01, "sphere.density": 2600.0}
 STEEL = {"E": 210e9, "nu": 0.3, "density": 7850.0}
+FORCE = LoadingPath(over="force")
 
 
 def of(table: str, **numbers: Any) -> dict[str, Any]:
@@ -322,6 +323,23 @@ def test_a_sphere_without_mass_is_the_limit_of_a_light_one(kind: str) -> None:
     )
     with pytest.raises(ValueError, match="closed forms need"):
         closed_form.solve_closed(converged_scene("09_load_cell"))
+    # what the closed form does not follow in time is refused, as by `solve`
+    with pytest.raises(ValueError, match="'massless' is one of the rig bars"):
+        dynamics.motions(given, np.array([0]), fidelity="massless")
+    with pytest.raises(ValueError, match="'massless' is one of the rig bars"):
+        first_fractures(given, np.full((1, 1), 0.5), [FORCE], fidelity="massless")
+
+
+@pytest.mark.parametrize("rig", ["impact", "platens"])
+@pytest.mark.parametrize("fidelity", ["massless", "linear"])
+def test_no_answers_of_another_fidelity(rig: str, fidelity: str) -> None:
+    given = struck()
+    if rig == "platens":
+        given = scene(rig, {**LIMESTONE, **of("platens"), "platens.force": 4230.0})
+    with pytest.raises(ValueError, match=f"'{rig}' needs 'full'"):
+        solve_scene(given, fidelity)
+    with pytest.raises(ValueError, match="closed forms need fidelity = 'full'"):
+        closed_form.solve_closed(given, fidelity)
 
 
 def test_platens_are_static() -> None:

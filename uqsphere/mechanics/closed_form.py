@@ -222,9 +222,9 @@ def closed_form_rows(scene: Scene, fidelity: str = "full") -> Flags:
 def _closed_form(scene: Scene, fidelity: str) -> tuple[Callable[[Scene], ColumnMap], Flags]:
     """The closed form of the rig of a scene, and the rows that it applies to, (n,)."""
     every = np.ones(len(scene), bool)
+    full, massless = (fidelity == model for model in ("full", "massless"))
     if scene.setup.by_press:
-        return _pressed, every
-    massless = fidelity == "massless"
+        return _pressed, every & full
     if scene.by_wave:
         plain = scene.shape in ("rectangular", "step") and scene.striker_ratio is None
         infinite = scene.infinite and scene.contact_law == "hertz"
@@ -234,7 +234,7 @@ def _closed_form(scene: Scene, fidelity: str) -> tuple[Callable[[Scene], ColumnM
         elastic = all(partner.face is None for partner in scene.there)
         return _light, every & (massless and free and elastic and not np.any(scene.reflections))
     behind, ahead = scene.partners
-    if behind is not None or not free:
+    if behind is not None or not (free and full):
         return _impact, ~every
     if ahead.face is not None:
         # plastic contact and radiated waves together have no closed form
@@ -254,8 +254,9 @@ def solve_closed(
     closed_form, applies = _closed_form(scene, fidelity)
     if not applies.all():
         raise ValueError(
-            "closed forms need slow loading, an impact on one body, or fidelity = 'massless' with "
-            "a drop weight on elastic contacts or a rectangular or step pulse in infinite bars"
+            "closed forms need fidelity = 'full' with slow loading or an impact on one body, or "
+            "'massless' with a drop weight on elastic contacts or a rectangular or step pulse in "
+            "infinite bars"
         )
     if len(scene) > _BLOCK_ROWS:
         blocks = np.split(np.arange(len(scene)), range(_BLOCK_ROWS, len(scene), _BLOCK_ROWS))

@@ -16,7 +16,7 @@ from numpy.polynomial.polynomial import polyval
 from uqsphere.arrays import Array, Places, quiet
 
 from .criteria import CRITERIA, Demands, Parameters, demand
-from .integrator.solve import MODES, Motion, motions
+from .integrator.solve import Motion, check_request, motions
 from .integrator.tracked import ORDER, TERMS
 from .outputs import OUTPUTS, Columns, columns_of, columns_of_press
 from .roots import bisect
@@ -104,10 +104,10 @@ def first_fractures(
     and below at first touch.  paths: how the L criteria follow the loading.  fidelity: `full`,
     `linear` or `massless`.  A specimen whose row cannot be integrated does not break.
 
-    Raises ValueError for another shape of shares, or another fidelity.
+    Raises ValueError for another shape of shares, and as `integrator.solve`: without a motion there
+        is no time of fracture.
     """
-    if fidelity not in MODES:
-        raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
+    check_request(scene, fidelity, tolerance)
     if shares.shape != (len(scene), len(paths)):
         raise ValueError(
             f"shares must have the shape ({len(scene)}, {len(paths)}), not {shares.shape}"

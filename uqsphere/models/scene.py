@@ -213,11 +213,16 @@ def later_loading(study: Study, names: Names, rows: Array) -> Array:
 
 def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
-) -> Fractures:
-    """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand."""
+) -> Fractures | None:
+    """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand;
+    None where the scene has no motion.
+    """
+    scene = scene_at(study, names, rows)
+    if not dynamics.has_motion(scene, study.model.fidelity):
+        return None
     paths = (path_of(name, study.demands) for name in quantities)
     return first_fractures(
-        scene_at(study, names, rows),
+        scene,
         shares,
         [*filter(None, paths)],
         fidelity=study.model.fidelity,

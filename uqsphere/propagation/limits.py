@@ -271,8 +271,8 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
         [limit.quantity for limit in limits],
         drawn.shares.reshape(len(limits), -1).T,
     )
-    if not np.isfinite(fractures.time).any():
-        return  # the rig has no motion that fracture would have a moment in
+    if fractures is None or not np.isfinite(fractures.time).any():
+        return  # no motion that fracture would have a moment in
     first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
         by_mode = share(first == k, METHOD, weights=drawn.weights)

@@ -158,6 +158,9 @@ def _stays_open_or_leaps(s, j, bar, past, ahead):
 def _leap(s, j, bar, past, length, left):
     """Move the bodies of a rig and the waves in its bar on by a time; left: share of the waves that
     is left then.
+
+    The steps that these waves left in move with them.  All lie behind the last loss of contact,
+    two round trips ago or more, so that no force was first reached in one (`events.first_at`).
     """
     lane = s.lane[j]
     for face in range(2):

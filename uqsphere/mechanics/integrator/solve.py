@@ -375,7 +375,6 @@ def motion(scene: Scene, row: int, *, fidelity: str = "full", tolerance: float =
     ValueError, with the message of its status, if the row lies outside the domain or cannot be
     integrated.
     """
-    _check_request(scene, fidelity, tolerance)
     found: Motion | int = int(scene.status[row])
     if found == 0:
         whole = replace(scene, whole_record=True)
@@ -397,7 +396,9 @@ def motions(
     """The motions of some rows inside the domain, or the status of those that cannot be integrated.
 
     They end with the record of the scene, or once none of the `quantities` can change any more.
+    Raises ValueError as `solve`.
     """
+    check_request(scene, fidelity, tolerance)
     task = task_of(scene, fidelity, tolerance, quantities)
     task = replace(task, wanted=task.wanted | tracked.WANT_MOTION)
     # a call keeps room for all steps of its rows, which fill the lanes of the kernel
@@ -443,16 +444,24 @@ def _by_blocks(
         return list(pool.map(run_on, blocks))
 
 
-def _check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
+def has_motion(scene: Scene, fidelity: str) -> bool:
+    """Whether the equations of motion are those of the rig of a scene; else its answers are in
+    closed form alone.
+    """
+    return scene.by_wave or (fidelity == "full" and not scene.setup.by_press)
+
+
+def check_request(scene: Scene, fidelity: str, tolerance: float) -> None:
+    """Raise ValueError where the equations of motion are not to be integrated."""
     if fidelity not in MODES:
         raise ValueError(f"unknown fidelity {fidelity!r} (allowed: {', '.join(MODES)})")
-    if scene.setup.by_press:
-        raise ValueError(
-            "between platens nothing moves: their answers are static, without an integrator"
-        )
     if not scene.by_wave and fidelity != "full":
         raise ValueError(
             f"the fidelity {fidelity!r} is one of the rig bars: rig {scene.rig!r} needs 'full'"
+        )
+    if not has_motion(scene, fidelity):
+        raise ValueError(
+            "between platens nothing moves: their answers are static, without an integrator"
         )
     if fidelity == "linear" and scene.struck.face is not None:
         raise ValueError(
@@ -480,7 +489,7 @@ def solve(
     or demands; what is not asked for is not computed.  Rows outside the domain have NaN and a
     status.
     """
-    _check_request(scene, fidelity, tolerance)
+    check_request(scene, fidelity, tolerance)
     if quantities is not None and (unknown := set(quantities) - set(OUTPUTS) - set(scene.demands)):
         raise ValueError(
             f"unknown quantities {', '.join(sorted(unknown))} (allowed: {', '.join(OUTPUTS)})"
