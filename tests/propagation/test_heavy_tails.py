@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import uqsphere
 from uqsphere import Study
+from uqsphere.arrays import Array
 
 NORMAL = {"dist": "normal", "mean": 0.0, "sd": 1.0}
 
@@ -70,3 +72,27 @@ def test_an_expansion_of_the_logarithm_is_integrated_beyond_the_points_of_the_la
         row = answers[key]
         assert row.low <= truth <= row.high, key
         assert row.high - row.low < 0.005, key
+
+
+def _sine(columns: Mapping[str, Array]) -> Array:
+    return np.sin(2.0 * columns["a"]) + columns["b"]
+
+
+def _peak(columns: Mapping[str, Array]) -> Array:
+    return columns["a"] / np.hypot(1.0 + 0.25 * columns["b"], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("model", "truth", "seed"),
+    [(_sine, math.sqrt(1.5 - 0.5 * math.exp(-8.0)), k) for k in (1, 2, 3)]
+    + [(_peak, 1.13101, k) for k in (3, 12, 13)],
+)
+def test_what_an_expansion_makes_beyond_all_rows_is_no_knowledge(
+    model: Callable[[Mapping[str, Array]], Array], truth: float, seed: int
+) -> None:
+    # polynomials that leave 1e-8 of the variance at the rows make 1 to 2 % of it where none lies
+    study = Study(inputs={"a": NORMAL, "b": NORMAL}, outputs="y", seed=seed)
+    run = uqsphere.run(study, lambda columns: {"y": model(columns)})
+    sd = next(row for row in run.results.answers if row.answer.value == "sd")
+    assert sd.low <= truth <= sd.high
+    assert sd.high - sd.low < 0.02

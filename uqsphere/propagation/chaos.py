@@ -26,9 +26,9 @@ from itertools import combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Pair, Values, bundle, special
-from uqsphere.uq import Estimate, Law, Sample, from_replicates
-from uqsphere.uq.chaos.basis import germ_points, rows_of
+from uqsphere.arrays import Array, Flags, Places, Values, bundle, special
+from uqsphere.uq import Estimate, Sample, from_replicates
+from uqsphere.uq.chaos.basis import germ_points, highest_degrees, rows_of
 from uqsphere.uq.chaos.expansion import Chaos, Integrals
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
@@ -200,10 +200,10 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
     """Share of the variance of an expansion that may be wrong beyond all rows, in the tails of
     single inputs.
 
-    It is what the expansion makes there over one that is held at the last row, as far as residuals
-    of the last row of every replicate are large against what the expansion moves by as far before
-    it, or as far as polynomials of the same degree miss the law of the input itself, which is
-    known there: no polynomial of its score meets a law whose tail falls off as a power.
+    It is what the expansion misses there by its residuals at the rows, to which its terms and those
+    up to two degrees above them are fitted: what is left out grows fastest where no row lies.  What
+    such polynomials miss is a deviation, of which the interval holds 95 %, and no more than what
+    the expansion itself moves by beyond the last row.
 
     scores : (R, n, D) of the variables
     residuals : (R-1, m) of the first rows of the last replicates
@@ -211,50 +211,39 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
     moments = fit.integrals
     if not moments.sd > 0.0:
         return 0.0
+    germs = fit.germs
+    few = residuals[:, :MOST_ROWS]
+    points = points_of(design, scores[1:, : few.shape[1]]).reshape(few.size, -1)
+    terms = _above(fit.plain_form.multi_indices)
+    terms = terms[(terms <= highest_degrees(germs, points, terms.max())).all(axis=1)]
+    values = rows_of(germs, points, terms)
+    missed = np.linalg.lstsq(values @ values.T, values @ few.ravel())[0]
     rows = scores[0, :TAIL_POINTS]
     # parts of a tail that reach far into it, and the share of it that each stands for
     parts = (np.arange(len(rows)) + 0.5) / len(rows)
     shares = parts**2 / (parts**2).sum()
     wrong = 0.0
-    for j, law in enumerate(design.joint_inputs.laws):
+    for j in range(len(germs)):
         for side in (-1.0, 1.0):
-            column = side * scores[1:, : residuals.shape[1], j]
-            outermost = column.argmax(axis=1)[:, None]
-            last = column.max()
+            last = (side * scores[1:, : residuals.shape[1], j]).max()
             chance = float(special.ndtr(-last))
-            free = -special.ndtri(chance * parts**3)
-            # beyond the last row, at it, and as far before it
-            places = np.tile(rows, (3, 1, 1))
-            places[:, :, j] = side * np.array(np.broadcast_arrays(free, last, 2.0 * last - free))
-            beyond, at_last, before = fit.predict(points_of(design, places)) - moments.mean
-            made = shares @ np.abs(beyond**2 - at_last**2)
-            error = (np.take_along_axis(residuals, outermost, 1) ** 2).mean()
-            tail = side * np.append(free, last)
-            missed = 0.0
-            if not fit.log:  # the exponential of a polynomial follows such a tail
-                own, exact = _by_same_degree(fit, j, law, scores[0, : fit.samples, j], tail)
-                # what such polynomials miss is a deviation, of which the interval holds 95 %
-                missed = student(math.inf) * (shares @ np.abs(own**2 - exact**2)[:-1])
-                with np.errstate(over="ignore"):
-                    missed /= max(shares @ np.abs(own**2 - own[-1] ** 2)[:-1], 1e-300)
-            with np.errstate(over="ignore"):  # one that does not move has nothing beyond either
-                doubt = np.sqrt(error / max(shares @ (before - at_last) ** 2, 1e-300))
-                wrong += chance * float(made * min(max(2.0 * doubt + doubt**2, missed), 1.0))
+            # beyond the last row, and at it
+            places = np.tile(rows, (2, 1, 1))
+            places[0, :, j] = -side * special.ndtri(chance * parts**3)
+            places[1, :, j] = side * last
+            points = points_of(design, places)
+            beyond, at_last = fit.predict(points) - moments.mean
+            error = student(math.inf) * np.abs(missed @ rows_of(germs, points[0], terms))
+            error = np.minimum(error, np.abs(beyond - at_last))
+            wrong += chance * float(shares @ ((2.0 * np.abs(beyond) + error) * error))
     return wrong / moments.sd**2
 
 
-def _by_same_degree(fit: Chaos, j: int, law: Law, rows: Array, scores: Array) -> Pair:
-    """Values (n,) of an input at scores (n,), about their mean: by polynomials up to the degree
-    that an expansion has in it, fitted to scores (m,) of rows, and by its law.
-    """
-    germs = fit.germs[j : j + 1]
-    degrees = np.arange(fit.multi_indices[:, j].max() + 1)[:, None]
-
-    def terms(scores: Array) -> Array:
-        return rows_of(germs, germ_points(scores[:, None], germs), degrees)
-
-    coefficients = np.linalg.lstsq(terms(rows).T, law.from_normal(rows))[0]
-    return coefficients[1:] @ terms(scores)[1:], law.from_normal(scores) - coefficients[0]
+def _above(terms: Places) -> Places:
+    """Terms (P, d), and those one and two degrees above one of them in an input."""
+    steps = np.eye(terms.shape[1], dtype=int)
+    moved = [terms + k * step for k in (1, 2) for step in steps]
+    return np.unique(np.concatenate([terms, *moved]), axis=0)
 
 
 def _left(outputs: Array, values: Array) -> float:

@@ -131,14 +131,14 @@ def steps_of(law: Law) -> Pair:
     return special.ndtri(np.cumsum(weights) - 0.5 * weights), weights
 
 
-def highest_degrees(germs: Germs, points: Array) -> Places:
+def highest_degrees(germs: Germs, points: Array, degree: int = HIGHEST_DEGREE) -> Places:
     """Highest degree (d,) in each input at germ points (n, d): below the number of its different
-    values.
+    values, and at most `degree`.
 
     On the rows a higher power is a sum of lower ones, and elsewhere it may be anything.
     """
     different = [len(np.unique(values.round(12))) for values in map(values_of, germs, points.T)]
-    most = [recurrence_of(germ, HIGHEST_DEGREE).shape[1] for germ in germs]
+    most = [recurrence_of(germ, degree).shape[1] for germ in germs]
     return np.array(different).clip(max=most) - 1
 
 
