@@ -473,6 +473,10 @@ def test_the_strength_that_the_plan_needs_is_told(granite: Results) -> None:
     itself = needed.model_copy(update={"joint": False})
     text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": itself}))).next
     assert text.endswith("(here 4 GPa), other modes aside.")
+    # the plan is 0.5 m/s: with this mode out of the way the others allow less
+    for best, end in ((0.42, "; other modes rule it out."), (0.6, "aside.")):
+        short = remedy.model_copy(update={"needed": itself, "at_best": best})
+        assert DecisionText(granite, decision(next=short)).next.endswith(end)
     other = needed.model_copy(update={"subject": "modes.core tension"})
     text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": other}))).next
     assert "The plan needs a mean strength of core tension of 4.5 GPa or more" in text

@@ -226,10 +226,10 @@ class DecisionText:
                 text = f"Change the planned value or the target, or measure the strength of {name}"
             elif name != subject:
                 of = f" of {name}"
-            text += f". {self._needed(remedy.needed, of)}"
+            text += f". {self._needed(remedy.needed, of, remedy.at_best)}"
         return f"{text}."
 
-    def _needed(self, needed: NeededStrength, of: str) -> str:
+    def _needed(self, needed: NeededStrength, of: str, at_best: float | None) -> str:
         """The strength that the planned value needs, to be compared with a data sheet."""
         survive = self.decision.aim == "survive"
         _, least = round_conservative(
@@ -238,7 +238,12 @@ class DecisionText:
         side = "more" if survive else "less"
         present = value(needed.present, needed.quantity)
         text = f"The plan needs a mean strength{of} of {least} or {side} (here {present})"
-        return text if needed.joint else f"{text}, other modes aside"
+        if needed.joint:
+            return text
+        planned = self._free and self._free.planned
+        if planned and at_best and (at_best > planned) == self._safe_above:
+            return f"{text}; other modes rule it out"
+        return f"{text}, other modes aside"
 
     @property
     def open(self) -> list[str]:
