@@ -213,9 +213,16 @@ class Corrected:
             for node, weight in zip(*nodes_of(outputs - levels), strict=True)
         )
         table = np.array([below(np.sort(values)) for values in predicted])
-        influence = np.subtract(outputs[:, None] <= places, levels[:, None] <= places, dtype=float)
-        value, low, high = corrected_probability(
-            table, influence, expected, 1.0 / predicted.shape[1]
+        # rows are many and places too: what they move a place by is counted, not listed
+        lower, upper = np.sort(np.sort([outputs, levels], axis=0))
+        correction = below(np.sort(outputs)) - below(np.sort(levels))
+        variance = (below(lower) - below(upper) - correction**2) * self.runs / (self.runs - 1)
+        value, low, high = _corrected(
+            table,
+            correction,
+            np.maximum(variance, expected) / self.runs,
+            runs=self.runs,
+            cell=1.0 / predicted.shape[1],
         )
         value = np.mean(rising(value), axis=0)
         return places, value, np.minimum(rising(low)[0], value), np.maximum(rising(high)[1], value)
@@ -294,11 +301,18 @@ def corrected_probability(
     expected : (...) variance that residuals like those of the rows make
     """
     n = len(influence)
-    expanded = table.mean(axis=0)
-    corrected = expanded + influence.mean(axis=0)
     noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
+    return _corrected(table, influence.mean(axis=0), noise, runs=n, cell=cell)
+
+
+def _corrected(
+    table: Array, correction: Values, noise: Values, *, runs: int, cell: Values
+) -> tuple[Array, Array, Array]:
+    """The same by corrections (...) of so many runs, with their variances (...)."""
+    expanded = table.mean(axis=0)
+    corrected = expanded + correction
     sampling = student(len(table)) * spreads(table, cell)
-    half = np.hypot(student(n) * np.sqrt(noise), sampling)
+    half = np.hypot(student(runs) * np.sqrt(noise), sampling)
     low, high = np.clip(corrected + np.array([-half, half]), 0.0, 1.0)
     return np.clip(_settled(expanded, corrected, low, high), low, high), low, high
 
