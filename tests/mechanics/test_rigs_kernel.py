@@ -361,7 +361,7 @@ def test_the_time_to_parting_of_a_rod_does_not_go_by_the_tolerance() -> None:
     found, closer = (look_closer(row, replace(task, tolerance=each))[0] for each in (1e-6, 1e-9))
     assert found["regained"] > 0.0
     assert found["parting"] == pytest.approx(closer["parting"], rel=1e-5)
-    assert found["doubt"] == 0.0
+    assert found["grazes"] == 0.0
 
 
 def test_largest_values_end_a_record_whose_weight_has_gone_for_good() -> None:

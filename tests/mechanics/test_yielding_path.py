@@ -101,7 +101,7 @@ def test_what_never_yields_has_the_bits_of_hertz():
     hard = integrated(granite_rows(onset_pressure=50e9, hardness=90e9, pile_up=2.0))
     assert np.array_equal(hard["steps"], elastic["steps"])
     yields, columns = map(tracked.answer_columns, (hard, elastic))
-    moments = {"contact", "contact_censored", "ended", "grazed", "doubt"}
+    moments = {"contact", "contact_censored", "ended", "grazed", "grazes"}
     for name in {"x_max", "x_first", "difference", "stored"} | moments:
         assert np.array_equal(yields[name], columns[name], equal_nan=True), name
     # thresholds are approaches of a force, not shares of an approach: the same but for rounding

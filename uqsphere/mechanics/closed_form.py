@@ -266,7 +266,7 @@ def solve_closed(
     closed = closed_form(scene)
     # closed forms have a single force peak, and no grazing contact
     first = closed["x_max"]
-    columns = {"status": scene.status, "steps": 0, "doubt": 0.0, "x_first": first, **closed}
+    columns = {"status": scene.status, "steps": 0, "grazes": 0.0, "x_first": first, **closed}
     tracked = {name: np.broadcast_to(value, (len(scene),)) for name, value in columns.items()}
     return answers_from(scene, tracked, quantities=quantities)
 

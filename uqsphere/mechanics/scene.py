@@ -333,7 +333,12 @@ class Scene:
 
     @cached_property
     def record_end(self) -> Array:
-        """Latest end of the evaluation window, (n,) [s]; infinite if another rule ends it."""
+        """Latest end of the evaluation window, (n,) [s]; infinite if another rule ends it.
+
+        Between bars it is finite in all rows inside the domain or in none: by the horizon, or as
+        bars that are not `infinite` have lengths.  The integrator relies on it
+        (`solve._local_errors`).
+        """
         ends = np.full(len(self), self.horizon or inf)
         if self.horizon is None and self.by_wave and not self.infinite:
             ends = 8.0 * self.round_trips.max(axis=1)

@@ -318,7 +318,9 @@ def _first_event(s, j):
             at = passage(s, j, face, 0.0, 1.0, clear, ends)
         if at <= ends:
             ends = at
-            lane.ended_by = End.CONTACT
+            lane.ended_by = End.TOUCHED
+            if s.x[0, m] > 0.0:
+                lane.ended_by = End.LOST
             lane.side = face
         if s.has_laws and not lane.from_touch:
             at = _branch_end(s, j, face, ends)
@@ -365,9 +367,11 @@ def _branch_end(s, j, face, end):
 
 @compiled
 def _note_loss(s, j, ends):
-    """The first loss of contact, how far the error of the approach moves it, and whether it may
-    undo it: then `grazed` is 0; it is the time of the loss where the approach went straight
-    through.
+    """The first loss of contact, and how far the error of the approach may move it: by `blur`, and
+    back to `grazed`, when the approach first came so near to zero.
+
+    `grazed` is set to the time of the loss where the approach went straight through; to 0, so that
+    the loss counts as moved by all of its time (`solve._undecided`), where the error may undo it.
     """
     lane = s.lane[j]
     lane.lost = lane.time + ends * s.h[j]
@@ -458,11 +462,7 @@ def after_step(s, j):
             ends = at
             lane.ended_by = End.RECORD
             _end_sooner(s, j, ends)
-    if (
-        lane.ended_by == End.CONTACT
-        and s.x[0, lane.side * LANES + j] > 0.0
-        and math.isnan(lane.lost)
-    ):
+    if lane.ended_by == End.LOST and math.isnan(lane.lost):
         _note_loss(s, j, ends)
     if s.wanted & tracked.WANT_AFTER:
         _note_squared_forces(s, j, ends)
@@ -490,9 +490,9 @@ def _note_approaches(s, j, ends):
             lane.touched[face] = 1.0
         if place >= 0.0:
             lane.retouches_at_value = lane.retouches
-        if s.rigged and place >= 0.0:
-            lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
-            lane.retouches_at_peak = lane.retouches
+            if s.rigged:
+                lane.other[face] = max(value_of(s.force, (1 - face) * LANES + j, place), 0.0)
+                lane.retouches_at_peak = lane.retouches
 
 
 #: functions of both faces whose largest values are followed

@@ -54,7 +54,7 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, PAIR, POINTS, TERMS, End
+from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, OK, PAIR, POINTS, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -131,7 +131,7 @@ def _leave(s, j, past, out):
     r = lane.number
     out[r].status = lane.fate
     lane.number = -1
-    if lane.fate != tracked.OK:
+    if lane.fate != OK:
         return
     out[r].steps = lane.count
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
@@ -157,12 +157,12 @@ def _enter(s, j, r, rows):
     lane.number = r
     s.error[j] = s.local
     lane.mass = rows.mass[r]
-    s.inverse_mu[j] = 1.0 / rows.mass[r]
+    s.inverse_mu[j] = 1.0 / lane.mass
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
     lane.horizon = rows.horizon[r]
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
-    quickest = max(1.0 / rows.mass[r], 1.0)
+    quickest = max(1.0 / lane.mass, 1.0)
     stiffest = 1.0
     closes = 0.0
     # first guesses: scales that are too small cost steps, too large ones accuracy
@@ -193,7 +193,7 @@ def _enter(s, j, r, rows):
     lane.quickest = quickest * stiffest
     lane.first_echo = min(lane.trips[0], lane.trips[1])
     if pulse_end == inf and lane.first_echo == inf:
-        lane.steady = 1.0
+        lane.steady_level = 1.0
     _jump(s, j, rows)  # at first touch the waves begin
     if s.rigged and closes <= 0.0:
         lane.fate = tracked.NEVER_CLOSES
@@ -221,6 +221,7 @@ def _waves(s, past):
             s.h[j] = s.h[LANES + j] = 0.0
             continue
         _try_step(s, j)
+        _set_loss_level(s, j)
         heard = incoming.heard(lane, lane.first_echo)
         if heard:
             incoming.echo_steps(s, j, past)
@@ -238,10 +239,9 @@ def _waves(s, past):
 
 @compiled
 def _try_step(s, j):
-    """The trial step of a lane; the approaches below which a contact may be lost or nearly is."""
+    """The trial step of a lane, and how far the series of its root may part from the root."""
     lane = s.lane[j]
     scale = lower(s.size, j)
-    largest = higher(s.size, j)
     if lane.from_touch:
         brief = (_BY_FORCE * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
         # the wave that presses may bend over what is left up to its next jump
@@ -261,16 +261,26 @@ def _try_step(s, j):
     if s.rigged:
         parts = _APART_IN_RIGS
     s.wrong_allowed[j] = parts * s.error[j] * min(scale, allowed)
-    if s.mode == LINEAR:
+    if s.mode == LINEAR or lane.from_touch:  # no root, or cubics in place of the series
         s.wrong_allowed[j] = inf
-    # `faint` is the error of an approach, less than the tolerance; in a row that is looked at again
-    # all steps may err one way.  Below `loss_level` a loss of contact is looked for; only a face
-    # that has been well above what is faint (`touched`) can lose it
+
+
+@compiled
+def _set_loss_level(s, j):
+    """What an approach may err by, and the approach below which a loss of contact is looked for.
+
+    `faint`, that error, is the tolerance of this look times the scale of the larger approach, times
+    the share that is left of the error allowed in one step (less once a face has yielded, and from
+    `FREE_STEPS` on).  In a look closer than what is requested every step may have erred by as much,
+    and all one way.  Only a face that has been well above what is faint (`touched`) can lose
+    contact.
+    """
+    lane = s.lane[j]
     steps = 0
     if s.tolerance < s.requested:
         steps = lane.count
-    lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * largest
-    lane.loss_level = max(lane.faint, max(_ADDED_UP * s.error[j], s.requested) * scale)
+    lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * higher(s.size, j)
+    lane.loss_level = max(lane.faint, max(_ADDED_UP * s.error[j], s.requested) * lower(s.size, j))
     if s.rigged and not math.isnan(lane.lost):
         lane.loss_level = 0.0  # only the first loss of contact is an answer of its own
 
@@ -307,7 +317,6 @@ def _choose(s, j):
     left = lane.next_jump - lane.time
     if lane.from_touch:
         theta = 1.0
-        s.wrong_allowed[j] = inf
         events.step_from_touch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
@@ -390,10 +399,6 @@ def _keep(s, j, ending, past):
     n = lane.count
     step = past[j, n & (s.ring - 1)]
     lane.count += 1
-    if (
-        lane.by_law and lane.count > FREE_STEPS
-    ):  # errors to one side add up: of so many steps no more than a logarithm
-        s.error[j] *= 1.0 - 1.0 / lane.count
     step.began = lane.time
     step.holds = ending * s.h[j]
     step.unit = s.h[j]
@@ -440,15 +445,22 @@ def _give_out(s, j, ending, path):
 
 @compiled(inline=True)
 def _go_on(s, j, ending, past, rows):
-    """The state from which the next step of a lane starts, or the end of its row.
+    """The state from which the next step of a lane starts, with what it may err, or the end of its
+    row.
 
     The state moves on before the time: what it asks of echoes is as of the start of the step.  The
-    next touch is looked for from the new state and time; the fate of the row depends on it.
+    next touch is looked for from the new state and time, which move on once more by round trips in
+    which none can come; the fate of the row depends on it.
     """
     lane = s.lane[j]
     ahead = nan
-    at_jump = s.h[j] * s.theta[j] >= (lane.next_jump - lane.time) * (1.0 - 1e-10)
-    at_jump = at_jump and lane.ended_by < End.CONTACT
+    # a step that an event cuts short does not reach a jump; where a record ends in the tail
+    # (`End.RECORD`) no jump is left
+    left = lane.next_jump - lane.time
+    at_jump = lane.ended_by == End.SERIES and s.h[j] * s.theta[j] >= left * (1.0 - 1e-10)
+    if lane.by_law and lane.count > FREE_STEPS:
+        # step n may err by 1/n: errors that all go one way add up to no more than a logarithm
+        s.error[j] *= 1.0 - 1.0 / lane.count
     _move_on(s, j, ending)
     if lane.time + ending * s.h[j] > lane.time:
         lane.attempts = 0
@@ -456,7 +468,7 @@ def _go_on(s, j, ending, past, rows):
     if at_jump:
         lane.time = lane.next_jump
     if s.rigged and not lane.from_touch:
-        ahead = records.next_touch(s, j, past)
+        ahead = records.fly_on(s, j, past)
     _propose(s, j, ending, at_jump, ahead)
     if at_jump and lane.time < lane.horizon:
         _jump(s, j, rows)
@@ -471,23 +483,22 @@ def _fate(s, j, ending, at_jump, ahead, past):
     lane = s.lane[j]
     # in the tail between infinite bars; in a rig whose gaps never close again
     if lane.ended_by == End.RECORD or ahead == inf:
-        return tracked.OK
+        return OK
     # at a loss of contact between bars, behind which nothing larger can come
-    left = lane.ended_by == End.CONTACT and not lane.from_touch
-    if left and s.stop_at_loss and not s.rigged:
+    if lane.ended_by == End.LOST and s.stop_at_loss and not s.rigged:
         records.note_loading(s, j, 0.0)
         if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past):
-            return tracked.OK
+            return OK
     if at_jump and lane.time >= lane.horizon:
         if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
             return tracked.STILL_PRESSED
-        return tracked.OK
+        return OK
     if lane.fate != GOES_ON:  # too many jumps under way
         return lane.fate
     # once the waves are steady, where nothing that is wanted can change any more
-    may_end = s.rigged or lane.steady >= 0.0
+    may_end = s.rigged or lane.steady_level != tracked.CHANGING
     if may_end and not lane.from_touch and records.no_later_peak(s, j):
-        return tracked.OK
+        return OK
     # the first step that is read again: of the whole path, or of the waves of a round trip
     oldest = lane.count
     if s.wanted & tracked.WHOLE_PATH:
@@ -506,25 +517,22 @@ def _fate(s, j, ending, at_jump, ahead, past):
 def _move_on(s, j, ending):
     """The state at the end of a step, on the branch and with the contact that follow it."""
     lane = s.lane[j]
-    side = lane.side * LANES + j
-    closes = s.x[0, side] <= 0.0
     s.u[0, j] = s.u[0, LANES + j] = s.u_at_end[j]
     for m in range(j, PAIR, LANES):
         s.x[0, m] = s.at[POINTS, m]
     lane.from_touch = 0
     lane.one_step_echo = 0
-    if lane.ended_by == End.CONTACT:
-        if closes:
-            lane.from_touch = 1
-            lane.retouches = lane.retouches + 1.0
-        else:
-            lane.parted = lane.time + ending * s.h[j]
+    if lane.ended_by == End.TOUCHED:
+        lane.from_touch = 1
+        lane.retouches += 1.0
+    elif lane.ended_by == End.LOST:
+        lane.parted = lane.time + ending * s.h[j]
     for m in range(j, PAIR, LANES):
-        if m == side or s.mode == MASSLESS:  # both faces move alike
-            if lane.ended_by == End.CONTACT:
-                s.x[0, m] = 0.0
-            elif lane.ended_by == End.BRANCH:
+        if m == lane.side * LANES + j or s.mode == MASSLESS:  # both faces move alike
+            if lane.ended_by == End.BRANCH:
                 switch(s, m)
+            elif lane.ended_by in (End.LOST, End.TOUCHED):
+                s.x[0, m] = 0.0
     if s.rigged:
         for m in range(j, PAIR, LANES):
             s.free[0, m] = events.value_of(s.free, m, ending)
@@ -544,7 +552,7 @@ def _move_on(s, j, ending):
 
 @compiled(inline=True)
 def _propose(s, j, ending, at_jump, ahead):
-    """How long the next step may be; ahead: `records.next_touch`, NaN while a face is pressed."""
+    """How long the next step may be; ahead: `records.fly_on`, NaN while a face is pressed."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
     before = 0.0
@@ -567,7 +575,7 @@ def _jump(s, j, rows):
     lane.proposed *= GROWTH
     incoming.enter_piece(s, j, rows)
     if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.first_echo == inf:
-        lane.steady = 0.0
+        lane.steady_level = 0.0
     if not incoming.reflect_break(s, j):
         lane.fate = tracked.CROWDED
     lane.next_jump = incoming.next_break(s, j, rows)

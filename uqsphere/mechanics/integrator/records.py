@@ -68,9 +68,11 @@ _LIGHT = 0.02
 
 
 @compiled
-def next_touch(s, j, past):
-    """How long until a gap of a rig closes while no force acts: inf if none closes again, at most a
-    round trip as long as an echo may close one, NaN while a face is pressed.
+def fly_on(s, j, past):
+    """Move a rig of which no face is pressed on by the round trips in which no gap can close.
+
+    Returns how long it then is until one closes while no force acts: inf if none closes again, at
+    most a round trip as long as an echo may close one, NaN while a face is pressed.
     """
     lane = s.lane[j]
     if max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
@@ -79,7 +81,10 @@ def next_touch(s, j, past):
     for face in range(2):
         rate = closing_rate(s, j, face)
         if lane.trips[face] < inf:
-            if not _stays_open_or_leaps(s, j, face, past, ahead):
+            never, trips = _round_trips_open(s, j, face, past, ahead)
+            if trips > 0:
+                _leap(s, j, face, past, trips)
+            if not never:
                 ahead = min(ahead, lane.trips[face])
         elif rate > 0.0:
             ahead = min(ahead, -s.x[0, face * LANES + j] / rate)
@@ -110,11 +115,11 @@ def _opened_by_echoes(s, j, bar, past):
 
 
 @compiled
-def _stays_open_or_leaps(s, j, bar, past, ahead):
-    """Whether the gap at the bar of a rig never closes again while no force acts.
+def _round_trips_open(s, j, bar, past, ahead):
+    """Whether the gap at the bar of a rig never closes again while no force acts; if it does, the
+    whole round trips in which no gap can close.
 
-    Else the bodies have been moved on by the round trips in which no gap closes; ahead: until the
-    other one does.
+    ahead: until the other one closes.
     """
     lane = s.lane[j]
     rate = closing_rate(s, j, bar)
@@ -122,9 +127,9 @@ def _stays_open_or_leaps(s, j, bar, past, ahead):
     end = lane.reflect[bar]
     waited = lane.time >= lane.parted + 2.0 * trip * (1.0 + 1e-12)
     if end < 0.0:
-        return waited and rate <= 0.0
+        return waited and rate <= 0.0, 0
     if not waited or (rate <= 0.0 and ahead == inf):
-        return rate <= 0.0
+        return rate <= 0.0, 0
     # each round trip repeats what is left of the echoes of the last one, which only open
     opens = _opened_by_echoes(s, j, bar, past)
     # a gap stays open while it exceeds what it closes by without echoes; and, where it was open all
@@ -143,26 +148,28 @@ def _stays_open_or_leaps(s, j, bar, past, ahead):
     trips = min(min(trips, _FOREVER), min(ahead, lane.horizon - lane.time) / trip)
     whole = math.ceil(trips) - 1
     if whole < 1 or (never and ahead == inf):
-        return never
-    left = end**whole
-    if end < 1.0:
-        opens *= (1.0 - left) / (1.0 - end)
-    else:
-        opens *= whole
-    s.x[0, bar * LANES + j] -= opens
-    _leap(s, j, bar, past, whole * trip, left)
-    return False
+        return never, 0
+    return False, whole
 
 
 @compiled
-def _leap(s, j, bar, past, length, left):
-    """Move the bodies of a rig and the waves in its bar on by a time; left: share of the waves that
-    is left then.
+def _leap(s, j, bar, past, trips):
+    """Move the bodies of a rig and the waves in its bar on by round trips, each of which repeats
+    the echoes of the last one times R.
 
     The steps that these waves left in move with them.  All lie behind the last loss of contact,
     two round trips ago or more, so that no force was first reached in one (`events.first_at`).
     """
     lane = s.lane[j]
+    end = lane.reflect[bar]
+    length = trips * lane.trips[bar]
+    left = end**trips  # share of the waves
+    opens = _opened_by_echoes(s, j, bar, past)
+    if end < 1.0:
+        opens *= (1.0 - left) / (1.0 - end)
+    else:
+        opens *= trips
+    s.x[0, bar * LANES + j] -= opens
     for face in range(2):
         s.x[0, face * LANES + j] += length * closing_rate(s, j, face)
     for step in range(lane.first[bar], lane.count):
@@ -185,7 +192,6 @@ def _bound_waves(s, j, bar, past):
     lane = s.lane[j]
     trip = lane.trips[bar]
     least = max(trip / (CELLS - 2.0), 2.0 * (lane.horizon - lane.time) / _MOST_CELLS)
-    newest = lane.count - 1
     count = 0
     start = lane.time
     begin = lane.time - trip
@@ -195,9 +201,9 @@ def _bound_waves(s, j, bar, past):
         begin = 0.0
         count = 1
     n = max(lane.first[bar], 0)
-    while n < newest and step_end(s, j, past, n) <= begin:
+    while n < lane.count - 1 and step_end(s, j, past, n) <= begin:
         n += 1
-    for step in range(n, newest + 1):
+    for step in range(n, lane.count):
         earlier = past[j, step & (s.ring - 1)]
         if earlier.began + trip >= lane.horizon:
             break
@@ -409,11 +415,11 @@ def no_higher_approach(s, j):
     pressed, too.
     """
     lane = s.lane[j]
-    level = lane.steady
+    level = lane.steady_level
     slack = 1.0 + 0.1 * s.error[j]
     if s.rigged and min(lane.reflect[0], lane.reflect[1]) >= 0.0:
         level = 0.0
-    if level < 0.0:
+    if level == tracked.CHANGING:
         return False
     stored = _energy_left(s, j, level)
     least = inf
@@ -466,7 +472,7 @@ def no_later_peak(s, j):
     lane = s.lane[j]
     wanted = s.wanted
     slack = 1.0 + 0.1 * s.error[j]
-    if wanted & tracked.WANT_CONTACT or (lane.steady > 0.0 and wanted & OF_BOTH):
+    if wanted & tracked.WANT_CONTACT or (lane.steady_level > 0.0 and wanted & OF_BOTH):
         return False
     if s.rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_AFTER):
         return False
@@ -495,6 +501,9 @@ def note_loading(s, j, left):
     """What counts up to the first loss of contact after a peak, if that has grown since it was last
     noted: impulse over peak of the mean force, (Q1); the largest difference of the forces, by their
     peak.  Later contacts that press less do not count, however long the record goes on for them.
+
+    So it is noted at the losses of bars whose record may end at one.  Otherwise (in a rig, or where
+    the record has to be whole) it is noted once, at the end of the record, and all contacts count.
 
     left: the impulse by which what is still pressed dies out once the waves are over, (Q2).
     """

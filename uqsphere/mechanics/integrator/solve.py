@@ -286,7 +286,8 @@ def task_of(
 def _local_errors(task: Task, finite: bool) -> tuple[float, float]:
     """The error allowed in one step, and the share of it that is left once a face has yielded.
 
-    finite: whether all records end at a horizon.
+    finite: whether all records end at a horizon.  Between bars those of a scene all do, or none
+    (`Scene.record_end`): no row depends on those beside it.
     """
     over_tolerance = yielded = _LOCAL
     if task.wanted & tracked.WANT_DIFFERENCE:
@@ -544,20 +545,19 @@ def look_closer(rows: Rows, task: Task) -> Any:
     those of another look, a hundred times closer than the last one, until a look settles them.
 
     There are three reasons for another look, and what the last one leaves of them is the row's
-    `doubt`, else 0:
+    `grazes`, else 0:
 
     undecided   an error of the approach may decide whether contact is lost, or move the first loss
-                by more than `_FIRM` tolerances: 1
+                by more than `_FIRM` tolerances: GRAZES
     counted     a duration counts contacts behind the first loss, and differs by as much from that
-                of one look more: 1
+                of one look more: GRAZES
     compared    many steps, or contacts that were found again, have added errors up, and any answer
-                differs by as much between the last two looks: 2
+                differs by as much between the last two looks: RATTLES
     """
-    tolerance = task.tolerance
     wanted = task.wanted
-    task = replace(task, requested=tolerance)
+    task = replace(task, requested=task.tolerance)
     answers, _ = march_rows(rows, task)
-    answers["doubt"] = 0.0
+    answers["grazes"] = 0.0
     # many steps add errors up, and each contact that is found again throws the sphere by its own
     compared = answers["steps"] > _MANY_STEPS
     echoing = np.asarray(np.isfinite(rows.round_trips).any(axis=1))
@@ -571,7 +571,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
         task = replace(task, tolerance=max(_CLOSER * task.tolerance, _FINEST))
         before = answers[again]
         look, _ = march_rows(rows.at(again), task)
-        # a row that has no room for so many steps keeps the answers that it has, and their doubt
+        # a row that has no room for so many steps keeps the answers that it has, and is marked
         done = look["status"] == tracked.OK
         answers[again[done]] = look[done]
         differs = _differences(before, look, task)
@@ -583,9 +583,9 @@ def look_closer(rows: Rows, task: Task) -> Any:
         astray &= echoing[again] & (look["ended"] >= rows.horizon[again] * (1.0 - 1e-12))
         undecided = _undecided(answers[again], task)
         counted[again] &= ~done | (differs["duration"] > _FIRM)
-        answers["doubt"][again] = np.where(
-            compared[again] & (~done | (largest > _FIRM)), 2.0, undecided | counted[again]
-        )
+        grazes = tracked.GRAZES * (undecided | counted[again])
+        rattles = compared[again] & (~done | (largest > _FIRM))
+        answers["grazes"][again] = np.where(rattles, tracked.RATTLES, grazes)
         again = again[done & (undecided | (compared[again] & ((largest > 1.0) | astray)))]
     return answers
 
@@ -601,6 +601,7 @@ def _undecided(answers: Any, task: Task) -> Flags:
     if task.stop_at_loss and not task.rigged:
         asked = task.wanted & tracked.BY_LOSS
     lost = np.nan_to_num(answers["contact"])
+    # a loss that may be none at all has `grazed` 0, so that it moves by all of its time
     moved = np.fmax(lost - answers["grazed"], blur)
     too_far: Flags = moved > _FIRM * task.requested * lost
     return too_far & (asked != 0)

@@ -40,19 +40,23 @@ QUEUE = 2048
 #: parts of a round trip in which the waves under way are bounded (`records`)
 CELLS = 512
 
+#: answers of a row that another look may change: the first loss of contact or a duration, where
+#: contact nearly is or is not lost; all of them, peaks too, where it is lost and found so often
+GRAZES, RATTLES = 1.0, 2.0
 #: what is integrated: theory (9), the linear contact of the paper's section 4, no mass
 FULL, LINEAR, MASSLESS = range(3)
 
 
 class End(IntEnum):
-    """What ends a step: its series, the record, a contact that is lost or found, a face that
-    changes its branch.
+    """What ends a step: its series or a jump of the waves, the record, a contact that is lost, one
+    that is found, a face that changes its branch.
     """
 
     SERIES = 0
     RECORD = 1
-    CONTACT = 2
-    BRANCH = 3
+    LOST = 2
+    TOUCHED = 3
+    BRANCH = 4
 
 
 #: status of a row; of one that is not done the first, of one to be tried with more room the last
@@ -115,8 +119,8 @@ ANSWER = np.dtype(
             "contact",  # first loss of contact, or the end of the record
             "contact_censored",  # 1 for the end of the record
             "blur",  # how far the error of the approach moves it
-            "grazed",  # when an approach was faint before it
-            "doubt",  # 0, or why another look may differ; look_closer
+            "grazed",  # when an approach was faint before it; 0: its error may undo the loss
+            "grazes",  # 0, or why another look may differ: GRAZES, RATTLES; look_closer
             "parting",  # last loss of contact
             "rise",  # from a tenth to nine tenths of the largest force
             "ended",  # end of the record
@@ -187,6 +191,9 @@ class Rows(NamedTuple):
         return Rows._make(column[rows] for column in self)
 
 
+#: `steady_level` while the incoming wave may still change: until the pulse is over, and for ever
+#: where echoes come back
+CHANGING = -1.0
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
 
@@ -251,11 +258,11 @@ LANE = np.dtype(
             # the waves
             "frequency",  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
             "offset",  # t_c; where the piece of the pulse begins; enter_piece
-            "steady",  # what runs in for ever, -1 while it may change; enter, jump
+            "steady_level",  # f from now on for ever, or CHANGING; enter, jump
             # what is followed
             "record_level",  # approach below which the record ends, 0: none; after_step
-            "loss_level",  # approach below which a contact may be lost; try_step
-            "faint",  # error of an approach; try_step
+            "loss_level",  # approach below which a contact may be lost; set_loss_level
+            "faint",  # error of an approach; set_loss_level
             "impulse",  # integral of the mean force; after_step
             "duration",  # t_c; impulse over peak of the mean force; note_loading
             "counted",  # t_c; up to when it counts; note_loading
@@ -263,7 +270,7 @@ LANE = np.dtype(
             "difference",  # largest of the forces up to when it counts; note_loading
             "counted_force",  # the largest force by which it does; note_loading
             "lost",  # t_c; first loss of contact; after_step
-            "grazed",  # t_c; when an approach was first faint before it; after_step
+            "grazed",  # t_c; when an approach was first faint before it, or 0; note_loss
             "blur",  # t_c; how far the error of the approach moves it; after_step
             "parted",  # t_c; last loss of contact; move_on
             "retouches",  # contacts found again; move_on
@@ -303,7 +310,7 @@ _AT_START = {
     "trips": np.inf,
     "proposed": 1e30,
     "from_touch": 1,
-    "steady": -1.0,
+    "steady_level": CHANGING,
     **dict.fromkeys(("lost", "parted", "duration", "grazed"), np.nan),
 }
 #: all lanes, and columns that go through vector instructions: (LANES,) of lanes; (PAIR,) of faces,
@@ -316,9 +323,9 @@ STATE = np.dtype(
             # the row
             "inverse_mu",  # 1/mu, 0 without mass; enter
             # the step
-            "error",  # error allowed in one step; enter, switch, keep
+            "error",  # error allowed in one step; enter, switch, go_on
             "u_size",  # scale of u; enter, move_on
-            "wrong_allowed",  # impulse by which a root may be off; try_step, choose
+            "wrong_allowed",  # impulse by which a root may be off; try_step
             "excess",  # impulse of `wrong` over what is allowed; shorten_to_roots
         ),
         *_fields(
