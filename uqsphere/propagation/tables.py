@@ -22,10 +22,10 @@ from uqsphere.uq.corrected import Corrected, indices_of
 from uqsphere.uq.describe import Description, describe, describe_controlled, heavy_tail
 from uqsphere.uq.estimate import carriers, count_bound
 from uqsphere.uq.indices import sampled_indices
-from uqsphere.uq.response import Response, unseen
+from uqsphere.uq.response import GOOD, Response, unseen
 from uqsphere.uq.rows import too_small
 
-from .chaos import CONTROL, GOOD, METHOD, Expansion, Indices, by_chaos, values_at
+from .chaos import CONTROL, METHOD, Expansion, Indices, by_chaos, values_at
 from .design import Design, with_test_forces
 
 #: points at which an expansion that serves as control is evaluated, for each point of the sample,

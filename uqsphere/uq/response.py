@@ -12,9 +12,10 @@ often those that the others need in order to agree, and to leave them out would 
 their residuals.
 
 The exponential of a polynomial, and polynomials of an unbounded law of an input's own, grow faster
-where no row lies than Hermite polynomials of normal scores do.  Where a fold is contradicted, the
-output itself is expanded in the scores as well.  This is kept if fewer folds are contradicted and
-no more is left of the variance; it may be more where no coefficients could be trusted before.
+where no row lies than Hermite polynomials of normal scores do.  Where a fold is contradicted, or
+more than `GOOD` of the variance is left, the output itself is expanded in the scores as well.  This
+is kept if fewer folds are contradicted, or in the second case no more, and no more is left of the
+variance; it may be more where no coefficients could be trusted before.
 """
 
 import math
@@ -38,6 +39,8 @@ FOLDS = 8
 #: the output.  Of a bivariate normal pair with half of the variance left, a prediction lies on the
 #: other side of a quantile as often as its output; a quarter leaves room for other pairs.
 MOST = 0.25
+#: share below which a second fit gains nothing
+GOOD = 0.01
 #: level at which a fold is contradicted, and points of the law at which its variance is looked at
 REJECTED = 0.99
 LOOKED = 1024
@@ -215,11 +218,12 @@ def cross_fit(
         if independent:
             response = _bounded(response)
             logs = any(fold.fit.log for fold in response.folds)
-            if len(response.trusted) < FOLDS and (logs or scores != germs):
+            doubtful = len(response.trusted) < FOLDS or response.error > GOOD
+            if doubtful and (logs or scores != germs):
                 calmer = _bounded(_fitted(points, y, scores, True))
-                fewer = len(calmer.trusted) > len(response.trusted)
-                better = calmer.error <= response.error
-                if fewer and (better or (calmer.usable and not response.trusted)):
+                more = len(calmer.trusted) - len(response.trusted)
+                better = calmer.error <= response.error or (calmer.usable and not response.trusted)
+                if better and (more > 0 or (more == 0 and response.error > GOOD)):
                     response = calmer
         responses.append(response)
     return responses
