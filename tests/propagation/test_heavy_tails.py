@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import uqsphere
+from tests.campaigns.zoo import MODELS as ZOO
+from tests.campaigns.zoo import all_truths
 from uqsphere import Study
 from uqsphere.arrays import Array
 
@@ -96,3 +98,12 @@ def test_what_an_expansion_makes_beyond_all_rows_is_no_knowledge(
     sd = next(row for row in run.results.answers if row.answer.value == "sd")
     assert sd.low <= truth <= sd.high
     assert sd.high - sd.low < 0.02
+
+
+def test_twenty_inputs_are_looked_at_one_by_one_beyond_all_rows() -> None:
+    # its terms with two more degrees in every input are ten thousand, and took minutes
+    model = ZOO["Morris"]
+    run = uqsphere.run(model.study(1, limits={}), lambda columns: {"y": model.function(columns)})
+    sd = next(row for row in run.results.answers if row.answer.value == "sd")
+    truth = all_truths()["Morris"]["sd"].value
+    assert sd.low <= truth <= sd.high

@@ -26,7 +26,7 @@ from itertools import combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Places, Values, bundle, special
+from uqsphere.arrays import Array, Flags, Values, bundle, special
 from uqsphere.uq import Estimate, Sample, from_replicates
 from uqsphere.uq.chaos.basis import germ_points, highest_degrees, rows_of
 from uqsphere.uq.chaos.expansion import Chaos, Integrals
@@ -198,10 +198,10 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
     """Share of the variance of an expansion that may be wrong beyond all rows, in the tails of
     single inputs.
 
-    It is what the expansion misses there by its residuals at the rows, to which its terms and those
-    up to two degrees above them are fitted: what is left out grows fastest where no row lies.  What
-    such polynomials miss is a deviation, of which the interval holds 95 %, and no more than what
-    the expansion itself moves by beyond the last row.
+    It is what the expansion misses there by its residuals at the rows, to which its terms in the
+    input and those up to two degrees above them are fitted: what is left out grows fastest where no
+    row lies.  What such polynomials miss is a deviation, of which the interval holds 95 %, and no
+    more than what the expansion itself moves by beyond the last row.
 
     scores : (R, n, D) of the variables
     residuals : (R-1, m) of the first rows of the last replicates
@@ -212,16 +212,20 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
     germs = fit.germs
     few = residuals[:, :MOST_ROWS]
     points = points_of(design, scores[1:, : few.shape[1]]).reshape(few.size, -1)
-    terms = _above(fit.plain_form.multi_indices)
-    terms = terms[(terms <= highest_degrees(germs, points, terms.max())).all(axis=1)]
-    values = rows_of(germs, points, terms)
-    missed = np.linalg.lstsq(values @ values.T, values @ few.ravel())[0]
+    kept = fit.plain_form.multi_indices
+    highest = highest_degrees(germs, points, kept.max() + 2)
     rows = scores[0, :TAIL_POINTS]
     # parts of a tail that reach far into it, and the share of it that each stands for
     parts = (np.arange(len(rows)) + 0.5) / len(rows)
     shares = parts**2 / (parts**2).sum()
     wrong = 0.0
-    for j in range(len(germs)):
+    for j in np.flatnonzero(kept.any(axis=0)):
+        step = np.eye(len(germs), dtype=int)[j]
+        own = kept[kept[:, j] > 0]
+        terms = np.concatenate([own, own + step, own + 2 * step])
+        terms = np.unique(terms[(terms <= highest).all(axis=1)], axis=0)
+        values = rows_of(germs, points, terms)
+        missed = np.linalg.lstsq(values @ values.T, values @ few.ravel())[0]
         for side in (-1.0, 1.0):
             last = (side * scores[1:, : residuals.shape[1], j]).max()
             chance = float(special.ndtr(-last))
@@ -229,19 +233,12 @@ def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> floa
             places = np.tile(rows, (2, 1, 1))
             places[0, :, j] = -side * special.ndtri(chance * parts**3)
             places[1, :, j] = side * last
-            points = points_of(design, places)
-            beyond, at_last = fit.predict(points) - moments.mean
-            error = student(math.inf) * np.abs(missed @ rows_of(germs, points[0], terms))
+            ends = points_of(design, places)
+            beyond, at_last = fit.predict(ends) - moments.mean
+            error = student(math.inf) * np.abs(missed @ rows_of(germs, ends[0], terms))
             error = np.minimum(error, np.abs(beyond - at_last))
             wrong += chance * float(shares @ ((2.0 * np.abs(beyond) + error) * error))
     return wrong / moments.sd**2
-
-
-def _above(terms: Places) -> Places:
-    """Terms (P, d), and those one and two degrees above one of them in an input."""
-    steps = np.eye(terms.shape[1], dtype=int)
-    moved = [terms + k * step for k in (1, 2) for step in steps]
-    return np.unique(np.concatenate([terms, *moved]), axis=0)
 
 
 def _left(outputs: Array, values: Array) -> float:
