@@ -14,8 +14,7 @@ An expansion of ln y is taken where it leaves less than half as much: its varian
 and projected by its plain form.
 
 No row sees the variance that an expansion makes beyond all rows, such as a polynomial of high
-degree in a tail.  As far as the last rows contradict it, what it has there is part of every
-interval (`_beyond`).
+degree in a tail.  What it may miss there is part of every interval (`_beyond`).
 """
 
 import math
