@@ -124,7 +124,7 @@ def test_a_shell_completes_commands_and_templates(line: str, words: list[str]) -
     pytest.importorskip("argcomplete")
     asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": "words", "COMP_LINE": line}
     subprocess.run(
-        [sys.executable, "-c", "from uqsphere.cli import program; program()"],
+        [sys.executable, "-c", "from uqsphere.__main__ import program; program()"],
         env={**os.environ, **asked, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": " "},
         check=False,
     )
@@ -179,3 +179,33 @@ def test_a_check_names_no_more_runs_than_the_budget(capsys: pytest.CaptureFixtur
     Path("square.toml").write_text(f"{SQUARE}analysis.budget.evaluations = 300")
     assert main(["check", "square.toml"]) == 0
     assert "starts with 256 model runs" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("at", ["uqsphere.cli", "uqsphere.study", "numba", "exit"])
+def test_an_interruption_is_told_in_one_line_wherever_it_comes(at: str) -> None:
+    """While modules are loaded as well, and where a compiled one makes another error of it."""
+    words = ["history", str(STUDIES / "quartz_load_cell.toml")]
+    if at == "exit":
+        words = ["list", "materials"]
+    code = f"""
+import builtins, sys
+load = builtins.__import__
+def interrupted(name, *more, **named):
+    if name == "uqsphere.study" == {at!r}:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+    if name == {at!r}:
+        exec("raise KeyboardInterrupt")
+    return load(name, *more, **named)
+builtins.__import__ = interrupted
+if {at!r} == "exit":
+    import gc
+    gc.freeze = lambda: exec("raise KeyboardInterrupt")
+from uqsphere.__main__ import program
+sys.argv = ["uqsphere", *{words!r}]
+program()
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert ended.returncode == 130
+    assert [line for line in ended.stderr.splitlines() if "warning" not in line] == ["interrupted"]

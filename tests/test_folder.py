@@ -13,7 +13,7 @@ import pytest
 import uqsphere
 from uqsphere.cli import main
 from uqsphere.errors import FolderError
-from uqsphere.propagation import write
+from uqsphere.propagation import check_owner, write
 from uqsphere.report import page_files, write_page
 from uqsphere.results.folder import UNLISTED, damaged_files, read_results, write_files
 from uqsphere.results.types import Kind
@@ -113,6 +113,56 @@ def test_history_and_labs_write_into_no_folder_of_another_study(
     assert "breaks half" in told.out
     assert "holds a run. Choose another directory with --out" in told.err
     assert content(folder) == before
+
+
+@pytest.mark.parametrize("owner", ["scene 0", "uqsphere shpb, a/b.toml", "uqsphere sweep, b"])
+@pytest.mark.parametrize(
+    ("command", "file"),
+    [
+        ("run", "granite.toml"),
+        ("run --fresh", "granite.toml"),
+        ("history", "granite.toml"),
+        ("sweep --over sphere.radius=9mm", "granite.toml"),
+        ("shpb records", "lab_gauge_records.toml"),
+        ("comminution fit", "lab_limestone_feed.toml"),
+    ],
+)
+def test_no_command_writes_where_another_has_written(
+    owner: str, command: str, file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A history may be replaced by a run, if it is asked."""
+    history = owner.startswith("scene")
+    if history and "--fresh" in command:
+        return
+    name = "history.csv" if history else "draws.csv"
+    write_files(tmp_path, {name: "t\n0\n"}, owner)
+    before = content(tmp_path)
+    study = Path(__file__).parents[1] / "studies" / file
+    assert main([*command.split(), str(study), "--out", str(tmp_path)]) == 5
+    told = capsys.readouterr().err
+    held = "history" if history else f"results of {owner}"
+    assert f"{tmp_path} holds " in told
+    assert held in told
+    assert "with --out" in told
+    assert content(tmp_path) == before
+
+
+def test_run_and_history_of_one_scene_share_a_folder(tmp_path: Path) -> None:
+    """Whatever else of the study differs; a lab may write again, and beside the user's files."""
+    studies = Path(__file__).parents[1] / "studies"
+    here = ["--out", str(tmp_path / "out")]
+    granite = str(studies / "granite.toml")
+    shutil.copytree(studies.parent / "reports" / "granite", tmp_path / "out")
+    assert main(["history", granite, *here, "--set", "seed=1", "--set", "sphere.E.cov=0.1"]) == 0
+    assert damaged_files(tmp_path / "out") == []
+    assert {"history.csv", "results.json"} <= content(tmp_path / "out").keys()
+    assert main(["history", granite, *here, "--set", "sphere.radius=9 mm"]) == 5
+    (tmp_path / "out" / "results.json").unlink()
+    check_owner(tmp_path / "out", uqsphere.load_study(granite, ["seed=2"]))
+    (tmp_path / "mine.txt").touch()
+    for _ in range(2):
+        records = str(studies / "lab_gauge_records.toml")
+        assert main(["shpb", "records", records, "--out", str(tmp_path)]) == 0
 
 
 def test_every_change_of_a_folder_is_found(folder: Path) -> None:

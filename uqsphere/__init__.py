@@ -7,8 +7,7 @@ duration, strength.
 'Granite, 20 mm, between 40 mm steel bars'
 """
 
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # that of typing, whose import can be interrupted
 if TYPE_CHECKING:
     from uqsphere import analysis
     from uqsphere.exchange import analyse, design, joint, sample, to_salib
@@ -56,7 +55,7 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     from importlib import import_module
 
     if name == "analysis":

@@ -49,8 +49,8 @@ LAB_TEMPLATES = {
 }
 
 
-def program() -> None:
-    """The entry point: the exit code of a command, errors as one message."""
+def program() -> int:
+    """The exit code of a command, its errors as one message."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # closed: no file of ours may take its place
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
@@ -69,7 +69,7 @@ def program() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     gc.freeze()  # nothing is searched for cycles at the end of the process
-    sys.exit(code)
+    return code
 
 
 def main(argv: Sequence[str]) -> int:
@@ -104,9 +104,6 @@ def _guarded(command: Callable[[], int]) -> int:
     except UqsphereError as error:
         tell(error)
         return error.exit_code
-    except KeyboardInterrupt:
-        tell("interrupted")
-        return INTERRUPTED
     except BrokenPipeError:
         raise
     except MemoryError:
@@ -115,7 +112,13 @@ def _guarded(command: Callable[[], int]) -> int:
     except OSError as error:
         tell(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
         return 6
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
+        cause: BaseException | None = error
+        while cause:
+            if isinstance(cause, KeyboardInterrupt):  # as "initialization failed" of a module
+                tell("interrupted")
+                return INTERRUPTED
+            cause = cause.__cause__ or cause.__context__
         if os.environ.get("UQSPHERE_DEBUG"):
             raise
         tell(
@@ -525,8 +528,8 @@ def _history(options: Namespace) -> None:
     print(f"{study.title}: one impact, every number at its mean")
     print("\n".join(f"{text:{width}}  {value}" for text, value in rows))
     if options.out:
-        with locked(options.out):
-            check_owner(options.out, study, fresh=False)
+        with locked(options.out, study.scene):
+            check_owner(options.out, study, scene_only=True)
             for name in write_history(course, options.out):
                 print(f"wrote {options.out / name}")
 

@@ -1,6 +1,7 @@
 """What both labs share: input files, units of keys, tables of the terminal, written files."""
 
 import json
+import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,6 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import Fault, TomlTable, read_text, refusal, unknown
-from uqsphere.errors import FolderError
 from uqsphere.materials import materials_of
 from uqsphere.tables import Table, TableError, read_table
 from uqsphere.units import parse_value
@@ -115,21 +115,23 @@ def run_command(lab: str, *argv: str) -> int:
         command.add_argument("--out", type=Path, help="folder for the files")
         command.add_argument("--json", action="store_true", help="print one JSON document")
     chosen = parser.parse_args(argv)
+    chosen.lab = lab
     return chosen.function(chosen) or 0
 
 
 def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str, str]) -> None:
     """Write the files of a command to `--out`, and print its answer without control characters."""
-    from uqsphere.results.folder import RESULTS, write_files
+    from uqsphere.results.folder import locked, owner_by_command, write_files
 
+    file = chosen.file
+    if isinstance(file, list):  # of several, what they have in common
+        file = Path(os.path.commonpath([path.resolve() for path in file]))
+    owner = owner_by_command(chosen.lab, file)
     written = []
     try:
         if chosen.out:
-            if chosen.out.is_file():
-                raise FolderError(f"{chosen.out} is not a directory. Choose another with --out")
-            if (chosen.out / RESULTS).exists():
-                raise FolderError(f"{chosen.out} holds a run. Choose another directory with --out")
-            write_files(chosen.out, files)
+            with locked(chosen.out, owner):
+                write_files(chosen.out, files, owner)
             written = [str(chosen.out / name) for name in files]
     finally:  # an answer is not lost with its files
         text = "\n".join([text, *(f"wrote {path}" for path in written)])

@@ -23,7 +23,7 @@ from uqsphere.models.model import Model
 from uqsphere.models.scene import check_scene
 from uqsphere.results import Run
 from uqsphere.results.answers import number_row
-from uqsphere.results.folder import clear, locked, read_results, write_log
+from uqsphere.results.folder import RESULTS, clear, locked, owner_of, read_results, write_log
 from uqsphere.results.run import stored_study
 from uqsphere.study import Study
 
@@ -106,7 +106,7 @@ def run(
         if out is not None:
             # a function of the user may change the working folder
             out = Path(out).absolute()
-            stack.enter_context(locked(out))
+            stack.enter_context(locked(out, study.scene))
             check_owner(out, study, fresh=fresh)
             if study.black_box:
                 cache = out / "cache.sqlite"
@@ -200,28 +200,35 @@ def _pairs(tables: Tables, quantity: str) -> Any:
     )
 
 
-def check_owner(folder: Path, study: Study, *, fresh: bool) -> None:
-    """Refuse a folder of another study, and remove what an earlier run of this one left where it is
-    asked.
+def check_owner(
+    folder: Path, study: Study, *, fresh: bool = False, scene_only: bool = False
+) -> None:
+    """Refuse a folder of another study, or with `scene_only` of another scene, and remove what an
+    earlier run left where it is asked.
     """
     if fresh:
         clear(folder)
         return
-    if not (folder / "results.json").exists():
+    held = "the history of another scene"
+    if (folder / RESULTS).exists():
+        stored = read_results(folder)
+        if stored.study.hash == study.hash:
+            return
+        held = "another study"
+        # what differs is named where the stored study can be read
+        with contextlib.suppress(UqsphereError):
+            before = stored_study(folder, stored)
+            if scene_only and before.scene == study.scene:
+                return
+            keys = before.changed_keys(study)
+            names = ", ".join(keys[:SHOWN_CHANGES])
+            if len(keys) > SHOWN_CHANGES:
+                names += f" and {len(keys) - SHOWN_CHANGES} more"
+            if names:
+                held += f" (changed: {names})"
+    elif owner_of(folder) in ("", study.scene):
         return
-    stored = read_results(folder)
-    changed = ""
-    if stored.study.hash == study.hash:
-        return
-    # what differs is named where the stored study can be read
-    with contextlib.suppress(UqsphereError):
-        keys = stored_study(folder, stored).changed_keys(study)
-        names = ", ".join(keys[:SHOWN_CHANGES])
-        if len(keys) > SHOWN_CHANGES:
-            names += f" and {len(keys) - SHOWN_CHANGES} more"
-        if names:
-            changed = f" (changed: {names})"
     raise FolderError(
-        f"{folder} holds another study{changed}: choose another folder with --out, or replace it "
-        "with `uqsphere run --fresh`"
+        f"{folder} holds {held}: choose another folder with --out, or replace it with "
+        "`uqsphere run --fresh`"
     )

@@ -404,6 +404,6 @@ def write_run(folder: Path, study: Study, results: Results, samples: dict[str, C
     try:
         files |= page_files(results, [*files])
     except Exception:
-        write_files(folder, files)  # a fault of a figure costs no results
+        write_files(folder, files, study.scene)  # a fault of a figure costs no results
         raise
-    write_files(folder, files)
+    write_files(folder, files, study.scene)

@@ -173,7 +173,7 @@ def write_history(course: Course, folder: Path) -> list[str]:
         files["gauges.csv"] = pd.concat(parts).to_csv(index=False)
     for name, picture in _pictures(course):
         files[f"figures/{name}.svg"] = picture.svg
-    write_files(folder, files)
+    write_files(folder, files, course.study.scene)
     return list(files)
 
 

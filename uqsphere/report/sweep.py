@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uqsphere.arrays import Names, frozen
-from uqsphere.errors import ExecutorLost, FolderError, UqsphereError, UsageError, tell
+from uqsphere.errors import ExecutorLost, UqsphereError, UsageError, tell
 from uqsphere.models.black_box import ModelFile
 from uqsphere.models.workers import is_closed
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.results import Run, open_run
-from uqsphere.results.folder import locked, sums_of, write_files
+from uqsphere.results.folder import check_kind, locked, owner_by_command, sums_of, write_files
 from uqsphere.results.types import Decision, Kind, Range, Results
 from uqsphere.study import Study
 
@@ -80,6 +80,7 @@ class Sweep:
 
     title: str
     folder: Path
+    owner: str
     keys: Names
     points: Sequence[Point]
     runs: dict[str, Run] = field(default_factory=dict)
@@ -110,9 +111,15 @@ def plan_sweep(over: Names, folder: Path, load: Callable[[Names], Study]) -> Swe
         if point.name in points:
             raise UsageError(f"--over: two points have the same folder name, {point.name}")
         points[point.name] = point
-    if (folder / "results.json").exists():
-        raise FolderError(f"{folder} holds a run; choose another directory with --out")
-    return Sweep(title=study.title, folder=folder, keys=tuple(grid), points=[*points.values()])
+    owner = owner_by_command("sweep", study.path)
+    check_kind(folder, owner)
+    return Sweep(
+        title=study.title,
+        folder=folder,
+        owner=owner,
+        keys=tuple(grid),
+        points=[*points.values()],
+    )
 
 
 def _grid(over: Names) -> dict[str, list[str]]:
@@ -194,8 +201,8 @@ def run_on_cluster(
 
     for point in points:
         folder = sweep.folder / point.name
-        with locked(folder):
-            check_owner(folder, point.study, fresh=False)
+        with locked(folder, point.study.scene):
+            check_owner(folder, point.study)
     with _errors_of_cluster():
         waiting = {point.name: client.submit(files_of, point.study, pure=False) for point in points}
     ask_at = time.monotonic() + _SILENCE
@@ -207,7 +214,7 @@ def run_on_cluster(
                 with _errors_of_cluster():
                     files = waiting.pop(point.name).result()
                 ask_at = time.monotonic() + _SILENCE
-                write_files(sweep.folder / point.name, files)
+                write_files(sweep.folder / point.name, files, point.study.scene)
                 yield point
         if waiting and closed:
             raise _lost_cluster("its client was closed")
@@ -257,7 +264,7 @@ def write_sweep(sweep: Sweep) -> Path:
     )
     files = {f"figures/{name}.svg": picture.svg for name, picture in pictures.items()}
     files |= {TABLE: frame.to_csv(index=False), "report.html": html}
-    write_files(sweep.folder, files)
+    write_files(sweep.folder, files, sweep.owner)
     return sweep.folder / "report.html"
 
 

@@ -1,5 +1,9 @@
 """A result folder: few files, written whole or not at all, with checksums; nothing in it is
 followed or run.
+
+It has one owner, the first line of its checksums: the scene of a study, whose run and history may
+stand side by side, or the command that wrote it and its input.  What has another owner is not
+written over.
 """
 
 import contextlib
@@ -43,6 +47,9 @@ HISTORY = {
 }
 #: what a folder begins with in which files wait until all are written
 PART = ".part-"
+#: what the line of checksums begins with that has the owner, and `Study.scene`, which owns runs and
+#: histories
+_OWNER, _SCENE = "# ", "scene "
 _AGAIN = "Run the study again with --fresh"
 #: bytes of a results.json that is read
 LARGEST = 64 << 20
@@ -57,21 +64,54 @@ def _accessing(path: Path) -> Iterator[None]:
         raise AccessError(f"{as_text(path)}: {error.strerror or error}") from error
 
 
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """The folder, made if it is new and locked against another run.
+def owner_by_command(command: str, file: Path) -> str:
+    """The owner of what a command, or the commands of a lab, write of an input file, which is told
+    by its own name and that of its folder.
+    """
+    name = Path(*file.resolve().parts[-2:]).as_posix()
+    return as_text(f"uqsphere {command}, {name}")
 
-    Raises FolderError where it is no result folder or another run has it, AccessError where the
-        system refuses.
+
+def owner_of(folder: Path) -> str:
+    """The owner of a folder; empty where nothing was written there."""
+    with contextlib.suppress(UqsphereError, ValueError):
+        first, _, _ = read_given(folder / SUMS, LARGEST).decode().partition("\n")
+        if first.startswith(_OWNER):
+            return first.removeprefix(_OWNER)
+    return ""
+
+
+def check_kind(folder: Path, owner: str) -> None:
+    """Raise FolderError where another command has written into a folder; scenes are told apart by
+    `uqsphere.propagation.check_owner`.
+    """
+    before = owner_of(folder)
+    if not before and (folder / RESULTS).exists():
+        before = _SCENE
+    if before in ("", owner) or (before.startswith(_SCENE) and owner.startswith(_SCENE)):
+        return
+    held = f"results of {before}"
+    if before.startswith(_SCENE):
+        held = "a run" if (folder / RESULTS).exists() else "a history"
+    raise FolderError(f"{as_text(folder)} holds {held}. Choose another directory with --out")
+
+
+@contextlib.contextmanager
+def locked(folder: Path, owner: str) -> Iterator[None]:
+    """The folder, made if it is new and locked against another command.
+
+    Raises FolderError where another command owns or has it, or a run or history would stand beside
+        files of the user's; AccessError where the system refuses.
     """
     with _accessing(folder):
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
+        check_kind(folder, owner)
         folder.mkdir(parents=True, exist_ok=True)
         found = {name for name in os.listdir(folder) if not name.startswith(PART)}
         # a study or a page of the user's own may have the name of ours
         strange = found - (UNLISTED if found.isdisjoint((SUMS, RESULTS)) else OWN)
-        if strange:
+        if strange and owner.startswith(_SCENE):
             raise FolderError(
                 f"{as_text(folder)} contains {min(strange)!r}, which uqsphere did not write. "
                 "Choose another directory with --out"
@@ -91,17 +131,28 @@ def locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+def write_files(folder: Path, files: Mapping[str, str | bytes], owner: str = "") -> None:
     """Write files whole: all of them beside their places first, then moved there; the checksums are
-    the first, so that what a killed process has moved is known to be its own.  With the results of
-    a run, earlier files that are not written again are removed.
+    the first, so that what a killed process has moved is known to be its own.  With a run or a
+    history, files of the one before that are not written again are removed.
 
-    Raises FolderError where a file was not written here, AccessError where the system refuses (a
-    full disk, no permission); the files before are then unchanged.
+    owner : whose the folder is from now on (default: the one before)
+
+    Raises FolderError where a file was not written here, or the folder is another command's;
+    AccessError where the system refuses (a full disk, no permission); the files before are then
+    unchanged.
     """
     before = sums_of(folder)
-    kept = HISTORY if RESULTS in files else before.keys()
-    sums = {name: digest for name, digest in before.items() if name in kept}
+    stale = set[str]()
+    if owner:
+        check_kind(folder, owner)
+    else:
+        owner = owner_of(folder)
+    if RESULTS in files:
+        stale = before.keys() - HISTORY
+    elif not HISTORY.isdisjoint(files):
+        stale = before.keys() & HISTORY
+    sums = {name: digest for name, digest in before.items() if name not in stale}
     contents = {
         name: text.encode() if isinstance(text, str) else text for name, text in files.items()
     }
@@ -112,7 +163,8 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
                 f"{as_text(folder / name)} exists, and uqsphere did not write it. Move it, or "
                 "choose another directory with --out"
             )
-    listed = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    listed = f"{_OWNER}{owner}\n" if owner else ""
+    listed += "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
     contents = {SUMS: listed.encode(), **contents}
     with _accessing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -163,7 +215,8 @@ def sums_of(folder: Path) -> dict[str, str]:
     with contextlib.suppress(UqsphereError, ValueError):
         for line in read_given(folder / SUMS, LARGEST).decode().splitlines():
             digest, _, name = line.partition("  ")
-            sums[name] = digest
+            if not line.startswith(_OWNER):
+                sums[name] = digest
     return sums
 
 

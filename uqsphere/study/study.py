@@ -246,8 +246,16 @@ class Study:
         """SHA-256 of the meaning: the same where two files differ only in title, gauges, comments
         or layout.
         """
-        text = json.dumps(self.meaning(), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return _digest(self.meaning())
+
+    @property
+    def scene(self) -> str:
+        """A name of what its history shows: every number at its mean, in its rig and model."""
+        meaning = self.meaning()
+        scene = {key: meaning[key] for key in ("options", "record", "model")}
+        # a mean follows from the parameters of its law to rounding
+        scene["numbers"] = {name: f"{mean:.9g}" for name, mean in self.at_means().items()}
+        return f"scene {_digest(scene)}"
 
     def changed_keys(self, other: Self) -> list[str]:
         """The dotted keys whose meaning differs in another study; those that leave the hash alone
@@ -372,6 +380,11 @@ def _keys(meaning: Mapping[str, Json]) -> dict[str, Json]:
         else:
             keys[table] = content
     return keys
+
+
+def _digest(content: Json) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def plain(value: Any) -> Json:
