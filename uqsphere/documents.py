@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -330,9 +331,10 @@ def load_document(path: Path, kind: type[Kind]) -> Kind:
     """
     text = read_text(path)
     try:
-        return kind.model_validate(parse_text(text, path))
+        data = parse_text(text, path)
+        return kind.model_validate(data)
     except ValidationError as error:
-        raise refusal(path, text, faults_of(kind, error)) from None
+        raise refusal(path, text, faults_of(kind, error, data)) from None
 
 
 def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
@@ -343,8 +345,18 @@ def declared(kind: type[Kind], raw: Mapping[str, Any]) -> Kind:
         raise faults_of(kind, error)[0] from None
 
 
-def faults_of(kind: type[TomlTable], error: ValidationError) -> list[Fault]:
-    """What pydantic found in a table: one fault a place, none of a list whose entries have some."""
+def faults_of(
+    kind: type[TomlTable], error: ValidationError, data: Mapping[str, object] = MappingProxyType({})
+) -> list[Fault]:
+    """What pydantic found in a table: one fault a place, none of a list whose entries have some.
+
+    data : of a whole file, which may be one of another command
+    """
+    homes = {key: command for command, keys in WORDS["commands"].items() for key in keys}
+    named = [key for key in data if key in homes]
+    if named and kind.model_fields.keys().isdisjoint(named):
+        message = f"this is an input file of `{homes[named[0]]}`, not of this command"
+        return [Fault(message, named[0])]
     faults = dict[Place, Fault]()
     above = set()  # every place on the way to a fault
     for number, entry in enumerate(error.errors(include_url=False)):

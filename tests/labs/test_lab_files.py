@@ -9,6 +9,8 @@ from uqsphere.cli import main
 
 STUDIES = Path(__file__).parents[2] / "studies"
 SIEVES = '{ law = "table", file = "sieves.csv", sieve = "size", passing = "passing" }'
+TESTS = ("comminution fit", "lab_limestone_feed")
+RECORDS = ("shpb records", "lab_gauge_records")
 FEED = '{ law = "rosin_rammler", d63 = "28 mm", n = 1.2, top = "63 mm" }'
 
 
@@ -32,25 +34,63 @@ def refused(
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "message"),
+    ("lab", "before", "after", "message"),
     [
-        ('"diameter_mm"', '"d"', "tests.diameter: the column 'd' is not in"),
+        (TESTS, '"diameter_mm"', '"d"', "tests.diameter: the column 'd' is not in"),
         (
+            TESTS,
             'diameter        = "diameter_mm"',
             'mesh_lower = "diameter_mm"\nmesh_upper = "d"',
             "tests.mesh_upper: the column 'd' is not in",
         ),
-        ('"energy_J_kg"', '"test"', "tests.specific_energy: the unit of the column 'test' is"),
-        ('"energy_J_kg"', '"energy_J_kg"\nunit = "N"', "tests.unit: unit must be one of J/kg"),
-        ('"outcome"', '"test"', "tests.outcome: lab_limestone_feed_tests.csv: lines 4, 5"),
-        ('"outcome"', '"outcome"\nwhere = { x = 1 }', "tests.where: the column 'x' is not in"),
+        (TESTS, '"energy_J_kg"', '"test"', "tests.specific_energy: the unit of the column 'test'"),
+        (TESTS, '"energy_J_kg"', '"energy_J_kg"\nunit = "N"', "tests.unit: unit must be one of J/"),
+        (TESTS, '"outcome"', '"test"', "tests.outcome: lab_limestone_feed_tests.csv: lines 4, 5"),
+        (TESTS, '"outcome"', '"outcome"\nwhere = { x = 1 }', "tests.where: the column 'x' is not"),
+        (TESTS, "[material]\nmaterial = ", "[material]  #", "material: density is required, or"),
+        (
+            TESTS,
+            '"sphere"',
+            '"contact"\npartner = { E = "1 GPa" }',
+            "tests.partner: E and nu, or a material",
+        ),
+        (RECORDS, '"time [us]"', '"t"', "record.time: the column 't' is not in"),
+        (RECORDS, '"incident [microstrain]"', '"t"', "record.incident: the column 't' is not in"),
+        (
+            RECORDS,
+            '"receiving [microstrain]"',
+            '["time [us]", 7]',
+            "record.receiving: the column '7' is",
+        ),
+        (
+            RECORDS,
+            "dispersion = false",
+            'window = ["1 s", "2 s"]',
+            "record.window: record.window must be [begin, end] within",
+        ),
+        (
+            RECORDS,
+            '"time [us]"',
+            '"time [us]"\ntime_unit = "N"',
+            "record.time_unit: the unit of time must be",
+        ),
+        (
+            RECORDS,
+            "[receiving_bar]",
+            '[receiving_bar]\nunit = "N"',
+            "receiving_bar.unit: receiving: its unit must be strain",
+        ),
     ],
 )
-def test_columns_of_tests_are_told_at_their_keys(
-    before: str, after: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_faults_of_tables_are_told_at_their_keys(
+    lab: tuple[str, str],
+    before: str,
+    after: str,
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    told = refused(tmp_path, capsys, "comminution fit", "lab_limestone_feed", before, after)
-    assert told.startswith(message)
+    assert refused(tmp_path, capsys, *lab, before, after).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -74,18 +114,30 @@ def test_columns_of_sieves_are_told_at_their_keys(
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "message"),
+    ("command", "file", "other"),
     [
-        ('"time [us]"', '"t"', "record.time: the column 't' is not in"),
-        ('"incident [microstrain]"', '"t"', "record.incident: the column 't' is not in"),
-        ('"receiving [microstrain]"', '["time [us]", 7]', "record.receiving: the column '7' is"),
+        (
+            "run",
+            "lab_gauge_records.toml",
+            "6: incident_bar: this is an input file of `uqsphere shpb",
+        ),
+        (
+            "check",
+            "lab_limestone_feed.toml",
+            "10: tests: this is an input file of `uqsphere commin",
+        ),
+        ("shpb records", "granite.toml", "8: sphere: this is an input file of `uqsphere run`"),
+        ("shpb fit-contact", "ishigami.toml", "7: inputs: this is an input file of `uqsphere run`"),
+        ("comminution feed", "lab_gauge_records.toml", "6: incident_bar: this is an input file of"),
     ],
 )
-def test_columns_of_records_are_told_at_their_keys(
-    before: str, after: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_file_of_another_command_names_it(
+    command: str, file: str, other: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = refused(tmp_path, capsys, "shpb records", "lab_gauge_records", before, after)
-    assert told.startswith(message)
+    assert main([*command.split(), str(STUDIES / file)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"{STUDIES / file}:{other}")
+    assert len(told.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -111,6 +163,20 @@ def test_columns_of_a_slow_test_are_told_at_their_keys(
     Path("slow.toml").write_text(f'# a test\nfile = "slow.csv"\ndiameter = "10 mm"\n{keys}\n')
     assert main(["shpb", "fit-contact", "slow.toml"]) == 2
     assert capsys.readouterr().err.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("command", "template", "place"),
+    [(*TESTS, "11: tests.file: "), (*RECORDS, "18: record.file: ")],
+)
+def test_a_file_that_is_missing_is_told_at_its_key(
+    command: str, template: str, place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = shutil.copy(STUDIES / f"{template}.toml", tmp_path)
+    assert main([*command.split(), str(file)]) == 6
+    told = capsys.readouterr().err
+    assert told.startswith(f"{file}:{place}")
+    assert "there is no such file" in told
 
 
 def test_a_row_that_is_asked_about_is_told_where_no_law_fits(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -219,20 +220,29 @@ def test_a_plan_has_every_failure_mode_that_means_fracture(chosen: bool, tmp_pat
 def test_what_a_plan_cannot_use_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """At its line and key."""
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"'))
+    shutil.copy(Path(__file__).parents[2] / "studies" / "ishigami.toml", tmp_path)
+    file = tmp_path / "plan.toml"
     for line, match in (
-        ('free = "striker.mass"', "free must be a number of the study"),
-        ('between = ["1 kg", "2 kg"]', "between"),
+        ('free = "striker.mass"', "free: must be a number of the study (bars.E, "),
+        ('between = ["1 kg", "2 kg"]', "between[0]: unknown unit 'kg' for a speed"),
         ('between = ["0 m/s", "2 m/s"]', "between[0]: striker speed must be above 0 m/s"),
-        ('free = "sphere.nu"', "between[1]: Poisson ratio of the sphere must be between"),
-        ('limits = ["none"]', 'unknown limit that means fracture "none", known: crushing'),
-        ('limits = ["crushing", "none"]', 'unknown limit that means fracture "none"'),
-        ("rows = 3", "rows"),
-        ("shares = [0.1, 1.5]", "shares"),
+        ('between = ["2 m/s", "1 m/s"]', "between: must be [low, high], not"),
+        ('free = "sphere.nu"', "free: Poisson ratio of the sphere must be between"),
+        ('limits = ["none"]', 'limits: unknown limit that means fracture "none", known: crushing'),
+        ('limits = ["crushing", "none"]', 'limits: unknown limit that means fracture "none"'),
+        ("rows = 3", "rows: must be greater than or equal to 64, not 3"),
+        ("shares = [0.1, 1.5]", "shares[1]: must be less than 1, not 1.5"),
+        ('study = "ishigami.toml"', "study: a plan needs a sphere in a rig"),
+        ('study = "none.toml"', f"study: {tmp_path / 'none.toml'}: there is no such file"),
     ):
-        (tmp_path / "plan.toml").write_text(f'study = "ball.toml"\n{line}\n')
-        assert main(["shpb", "plan", str(tmp_path / "plan.toml")]) == 2
-        assert match in capsys.readouterr().err
+        text = f"# a plan\n{line}\n"
+        if not line.startswith("study"):
+            text += 'study = "ball.toml"\n'
+        file.write_text(text)
+        assert main(["shpb", "plan", str(file)]) in (2, 6)
+        assert capsys.readouterr().err.startswith(f"{file}:2: {match}")
 
 
 def test_a_limit_that_means_no_fracture_stands_for_its_mode_in_a_plan_as_in_a_run(

@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from uqsphere.documents import Fault, TomlTable, read_text, refusal, unknown
+from uqsphere.errors import AccessError, StudyError, UsageError
 from uqsphere.materials import materials_of
-from uqsphere.tables import Table, TableError, read_table
+from uqsphere.tables import Table, read_table
 from uqsphere.units import parse_value
 
 
@@ -71,16 +72,31 @@ class TableFile(Section):
         return replace(table, unit_keys=unit_keys)
 
 
+class InputError(UsageError):
+    """An input file cannot be used: faults by their keys, from the top of the file."""
+
+    def __init__(self, *faults: Fault) -> None:
+        self.faults = faults
+        super().__init__("\n".join(map(str, faults)))
+
+
 @contextmanager
 def named_by(file: Path, *at: str) -> Iterator[None]:
-    """What is wrong with a table of numbers stands at the key of the input file that names it, or
-    its column: a StudyError.
+    """What is wrong with what an input file gives stands there: at its key, at that of the column
+    of a table of numbers, beside the last one of `at`, or else at that: a StudyError.  What cannot
+    be read remains an AccessError.
     """
     try:
         yield
-    except TableError as error:
-        fault = Fault(str(error), *at, error.key or "file")
-        raise refusal(file, read_text(file), [fault]) from None
+    except StudyError:
+        raise
+    except (UsageError, AccessError) as error:
+        key = getattr(error, "key", "") or at[-1]
+        faults = getattr(error, "faults", [Fault(str(error), *at[:-1], key)])
+        told = refusal(file, read_text(file), faults)
+        if isinstance(error, AccessError):
+            raise AccessError(str(told)) from None
+        raise told from None
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

@@ -134,7 +134,7 @@ def tables(draft: Draft) -> Faults:
     try:
         draft.document = Document.model_validate(draft.data)
     except ValidationError as error:
-        yield from faults_of(Document, error)
+        yield from faults_of(Document, error, draft.data)
 
 
 # --- 2: which tables and numbers there are --------------------------------------------------------

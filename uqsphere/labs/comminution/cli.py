@@ -20,21 +20,19 @@ def _run(chosen: Namespace) -> None:
 
     asked = load_document(chosen.file, ComminutionDocument)
     folder = chosen.file.parent
-    with named_by(chosen.file, "tests"):
+    with named_by(chosen.file, "tests", "file"):
         tests = load_tests(asked, folder)
-    try:
-        posterior, fitted = fit(tests, asked)
-    except UsageError:
-        for note in tests.notes:  # one of these rows may be the cause
-            tell(f"note: {note}")
-        raise
-    low, high = posterior.tested
-    at = asked.strength_at or math.sqrt(low * high)
+        try:
+            posterior, fitted = fit(tests, asked)
+        except UsageError:
+            for note in tests.notes:  # one of these rows may be the cause
+                tell(f"note: {note}")
+            raise
+        low, high = posterior.tested
+        at = asked.strength_at or math.sqrt(low * high)
+        draws = posterior.strength_csv(at, synthetic=asked.tests.synthetic)
     content = {**fitted, "strength_at": at}
-    files = {
-        "draws.csv": posterior.strength_csv(at, synthetic=asked.tests.synthetic),
-        "fit.json": _json(content),
-    }
+    files = {"draws.csv": draws, "fit.json": _json(content)}
     text = _fit_text(content)
     warnings = [*fitted["warnings"]]
     if posterior.is_untested(at):
@@ -46,7 +44,7 @@ def _run(chosen: Namespace) -> None:
             f"{high * 1e3:.4g} mm): draws.csv is {extrapolation}. Test this size"
         )
     if chosen.command == "feed":
-        with named_by(chosen.file, "feed", "sizes"):
+        with named_by(chosen.file, "feed", "sizes", "file"):
             answer = answer_feed(posterior, asked, folder)
         content = {"fit": content, "feed": answer}
         text = _feed_text(answer)

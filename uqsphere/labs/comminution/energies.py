@@ -7,12 +7,15 @@ elastically.
 """
 
 import warnings
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from uqsphere.arrays import Array, Cells, Values
-from uqsphere.errors import UqsphereError, UsageError
+from uqsphere.documents import Fault
+from uqsphere.errors import UqsphereError
+from uqsphere.labs.files import InputError
 from uqsphere.materials import materials_of
 from uqsphere.tables import Table
 
@@ -22,16 +25,18 @@ from .document import ComminutionDocument, Elastic
 #: mass of a falling weight over that of a particle, where it only carries the energy
 _HEAVY = 1000.0
 _GRAVITY = 9.80665
+#: place of what particles touched in tests
+_PARTNER = "tests.partner"
 
 
-def stiffness(body: Elastic) -> float:
-    """k = E/(1 - nu²) [Pa] of a body; UsageError where it is not known."""
+def stiffness(asked: ComminutionDocument, place: str) -> float:
+    """k = E/(1 - nu²) [Pa] of the body at a place of an input file; InputError where it is not
+    known.
+    """
+    body = attrgetter(place)(asked)
     if body.E is None or body.nu is None:
-        raise UsageError(
-            "material, tests.partner and feed.impact_surface need E and nu, or a material of the "
-            "library"
-        )
-    return body.E / (1.0 - body.nu**2)
+        raise InputError(Fault("E and nu, or a material of the library, are required", place))
+    return float(body.E / (1.0 - body.nu**2))
 
 
 def particle_energies(
@@ -48,7 +53,8 @@ def particle_energies(
     elif material.density:
         mass = laws.mass_of(diameter, material.density)
     else:
-        raise UsageError("material.density is required, or a column tests.mass")
+        message = "density is required, or a column tests.mass"
+        raise InputError(Fault(message, "material"))
     name = want.measured
     energy = table.numbers(getattr(want, name), name, want.unit, key=name)
     meaning = {"force": "contact", "speed": "input"}.get(name, want.energy_is)
@@ -63,8 +69,9 @@ def particle_energies(
                 want.stiffness, "pressure", want.stiffness_unit, key="stiffness"
             )
         else:
-            bodies = filter(None, (material, partner))
-            compliance = sum(1.0 / stiffness(body) for body in bodies)
+            compliance = 1.0 / stiffness(asked, "material")
+            if partner:
+                compliance += 1.0 / stiffness(asked, _PARTNER)
             modulus = 1.0 / compliance
             notes.append(
                 "the stiffness of intact rock is assumed: energies from the measured stiffness are "
@@ -84,23 +91,25 @@ def particle_energies(
             "study credits it with its share only"
         )
         return energy, notes
-    shares = np.full_like(energy, laws.particle_share(stiffness(material), stiffness(partner)))
+    bodies = stiffness(asked, "material"), stiffness(asked, _PARTNER)
+    shares = np.full_like(energy, laws.particle_share(*bodies))
     if meaning == "input":
         for falling in (True, False):
             rows = (rig == "drop_weight") == falling
             if rows.any():
                 shares[rows], told = offered_shares(
-                    asked, partner, falling, energy[rows], diameter[rows]
+                    asked, _PARTNER, falling, energy[rows], diameter[rows]
                 )
                 notes += told
     return energy * shares, notes
 
 
 def offered_shares(
-    asked: ComminutionDocument, partner: Elastic, falling: bool, energy: Array, diameter: Array
+    asked: ComminutionDocument, place: str, falling: bool, energy: Array, diameter: Array
 ) -> tuple[Array, list[str]]:
     """Shares (n,) of offered energies [J/kg] that particles of diameters [m] take, and notes.
 
+    place : of the partner in the input file
     falling : whether a weight falls on the particle on an anvil, both of the partner's material;
         else it hits a thick target.
 
@@ -109,7 +118,9 @@ def offered_shares(
     import uqsphere
 
     particle = asked.material
-    elastic = np.full_like(energy, laws.particle_share(stiffness(particle), stiffness(partner)))
+    partner = attrgetter(place)(asked)
+    bodies = stiffness(asked, "material"), stiffness(asked, place)
+    elastic = np.full_like(energy, laws.particle_share(*bodies))
     if not (particle.density and partner.density):
         return elastic, []
     sphere = _table(particle, "sphere")

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Function, Values, special
-from uqsphere.errors import UsageError
-from uqsphere.labs.files import JsonObject
+from uqsphere.documents import Fault
+from uqsphere.labs.files import InputError, JsonObject
 from uqsphere.tables import TableError
 
 from . import laws
@@ -161,11 +161,12 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     density = asked.material.density
     product = asked.product
     if not feed:
-        raise UsageError("the input file has no table [feed]")
+        raise InputError(Fault("the input file has no table [feed]", "feed"))
     if feed.rebreak and not product:
-        raise UsageError("feed.rebreak needs the sizes of fragments: add [product]")
+        message = "rebreak needs the sizes of fragments: add [product]"
+        raise InputError(Fault(message, "feed.rebreak"))
     if not density:
-        raise UsageError("material.density is required")
+        raise InputError(Fault("density is required", "material"))
     classes = load_classes(feed.sizes, folder)
     chosen = np.unique(np.linspace(0, len(posterior.law) - 1, DRAWS).astype(int))
     posterior = posterior.at(chosen)
@@ -178,7 +179,7 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     share = np.ones(len(sizes))
     notes = list[str]()
     if feed.impact_surface:
-        share, notes = offered_shares(asked, feed.impact_surface, False, offered, sizes)
+        share, notes = offered_shares(asked, "feed.impact_surface", False, offered, sizes)
     taken = offered * share
     if feed.undersize == "stays":
         taken[-1] = 0.0  # these are not hit

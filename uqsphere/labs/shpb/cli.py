@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from uqsphere.documents import load_document
-from uqsphere.errors import UsageError, as_text, tell
+from uqsphere.errors import AccessError, UsageError, as_text, tell
 from uqsphere.labs.files import JsonObject, csv_text, finish, named_by, table
 
 from .document import RecordDocument
@@ -34,9 +34,9 @@ def _records(chosen: Namespace) -> int:
             name = path.resolve().relative_to(home).as_posix()
         asked = load_document(path, RecordDocument)
         try:
-            with named_by(path, "record"):
+            with named_by(path, "record", "file"):
                 test = read_test(load_record(asked, path.parent))
-        except UsageError as error:
+        except (UsageError, AccessError) as error:
             if not several:
                 raise
             lines.append((name, "", "", "", "", f"refused: {error}"))
@@ -74,7 +74,7 @@ def _fit_contact(chosen: Namespace) -> None:
     from .contact import ContactDocument, fit_contact
 
     asked = load_document(chosen.file, ContactDocument)
-    with named_by(chosen.file):
+    with named_by(chosen.file, "file"):
         fit = fit_contact(asked, chosen.file.parent)
     for note in fit.notes:
         tell(f"note: {note}")
@@ -86,7 +86,9 @@ def _fit_contact(chosen: Namespace) -> None:
 def _plan(chosen: Namespace) -> None:
     from .plan import PlanDocument, plan_csv, plan_test, plan_text
 
-    plan = plan_test(load_document(chosen.file, PlanDocument), chosen.file.parent)
+    asked = load_document(chosen.file, PlanDocument)
+    with named_by(chosen.file, "study"):
+        plan = plan_test(asked, chosen.file.parent)
     finish(chosen, plan, plan_text(plan), {"plan.csv": plan_csv(plan)})
 
 

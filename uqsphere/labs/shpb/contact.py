@@ -155,23 +155,26 @@ def load_loading(asked: ContactDocument, folder: Path) -> tuple[Array, Array, Ar
     displacement = displacement - force / asked.machine_stiffness
     top = np.argmax(force)
     if not force[top] > 0.0:
-        raise UsageError(
+        raise TableError(
             "the force is never positive. Is compression negative in the file (compression = "
-            '"negative")?'
+            '"negative")?',
+            "compression",
         )
     pressed = displacement[: top + 1]
     if len(pressed) < 3 or not (pressed - pressed.mean()) @ force[: top + 1] > 0.0:
-        raise UsageError(
+        raise TableError(
             "the displacement does not grow with the force. Change its sign, or raise "
-            "machine_stiffness"
+            "machine_stiffness",
+            "displacement",
         )
     if np.median(np.abs(np.diff(displacement))) > 0.2 * np.ptp(displacement):
         raise UsageError(
             "the displacement jumps back and forth. Put the samples in the order of the record"
         )
     if not asked.pile_up and force[top:].min() > _UNLOADED * force[top]:
-        raise UsageError(
-            "the record is not unloaded, which hardness and pile-up need. Unload, or set pile_up"
+        raise TableError(
+            "the record is not unloaded, which hardness and pile-up need. Unload, or set pile_up",
+            "pile_up",
         )
     kept = np.flatnonzero(force > _QUIET * force[top])
     if len(kept) < _LEAST:

@@ -14,6 +14,7 @@ from scipy.ndimage import binary_closing, maximum_filter, median_filter, uniform
 
 from uqsphere.arrays import Array, Flags, Places
 from uqsphere.errors import UsageError
+from uqsphere.tables import TableError
 
 from .document import BarTable, RecordDocument
 from .recorder import Changes, Trace, read_traces
@@ -143,9 +144,10 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     passage = (bar.length or math.inf) / bar.wave_speed
     passes = min(pulse.falling - pulse.half + 1 for pulse in pulses) * step / passage
     if passes > _PASSES:
-        raise UsageError(
+        raise TableError(
             f"the pulse lasts {passes:.0f} passes of the incident bar. Is the time in another unit "
-            "(record.time_unit)?"
+            "(record.time_unit)?",
+            "time_unit",
         )
     # the first wave of a signal begins before the first echo of a far end
     first = min(pulse.half for pulse in pulses)
@@ -188,7 +190,7 @@ def load_record(document: RecordDocument, folder: Path) -> Record:
     if asked.window:
         begin, end = (round((time - start) / step) for time in asked.window)
         if not 0 <= begin < end < length:
-            raise UsageError("record.window must be [begin, end] within the record")
+            raise TableError("record.window must be [begin, end] within the record", "window")
         inside = np.zeros(length)
         inside[begin : end + 1] = incident.strain[begin : end + 1]
         wave = _first_wave(incident, inside, incident.noise)

@@ -15,9 +15,9 @@ import numpy as np
 from pydantic import Field
 
 import uqsphere
-from uqsphere.documents import unknown
+from uqsphere.documents import Fault, unknown
 from uqsphere.errors import StudyError, UsageError
-from uqsphere.labs.files import JsonObject, Section, csv_text, in_unit, table
+from uqsphere.labs.files import InputError, JsonObject, Section, csv_text, in_unit, table
 from uqsphere.quantities import (
     format_estimate,
     format_probability,
@@ -84,14 +84,20 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         )
     for name in asked.limits:
         if name not in limits:
-            raise UsageError(unknown("limit that means fracture", name, limits))
+            raise InputError(Fault(unknown("limit that means fracture", name, limits), "limits"))
     limits = {name: limit for name, limit in limits.items() if name in (asked.limits or limits)}
     try:
         study = uqsphere.load_study(path, _margins(asked, study))
     except StudyError as error:
-        faults = [f"{fault.path}: {fault.message}" for fault in error.problems]
-        text = "\n".join(faults).replace("margins.", "").replace(" (set by --set)", "")
-        raise UsageError(text) from None
+        faults = []
+        for fault in error.problems:
+            message = fault.message.removesuffix(" (set by --set)")
+            key = fault.path.replace("margins.solve", "free").removeprefix("margins.")
+            if key.startswith("between") and not asked.between:
+                key = "free"
+                message += ". Give between = [lowest, highest]"
+            faults.append(Fault(message, key))
+        raise InputError(*faults) from None
     margins = study.margins
     assert margins
     free = margins.solve
@@ -186,9 +192,8 @@ def _margins(asked: PlanDocument, study: Study) -> list[str]:
     solved = margins.solve if margins else ""
     free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
     if free not in numbers:
-        raise UsageError(
-            f"free must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}"
-        )
+        message = f"must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}"
+        raise InputError(Fault(message, "free"))
     between: Sequence[str] | None = asked.between
     if not between:
         if solved == free:

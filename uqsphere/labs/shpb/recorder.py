@@ -12,7 +12,9 @@ import numpy as np
 
 from uqsphere import tables
 from uqsphere.arrays import Array, Flags, Pair
+from uqsphere.documents import Fault
 from uqsphere.errors import UsageError
+from uqsphere.labs.files import InputError
 from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_comment
 from uqsphere.units import UNITS
 
@@ -278,14 +280,13 @@ def read_traces(
     time = _common(time, place, files, changes)
     traces = []
     for role, gauges in _by_role(asked, files, place, time).items():
-        bar = document.incident_bar
-        if role == "receiving":
-            bar = document.receiving_bar
+        home = "receiving_bar" if role == "receiving" else "incident_bar"
+        bar = getattr(document, home)
         for column in gauges:
             name = column.name
             if len(files) > 1:
                 name = f"{Path(column.table.name).stem} {name}"
-            strain = _strain(column, name, bar, changes)[: len(time)]
+            strain = _strain(column, name, bar, home, changes)[: len(time)]
             traces.append(Trace(role, name, bar, changes, math.nan, strain, np.isfinite(strain)))
     return _even(time, traces, changes)
 
@@ -317,15 +318,17 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
         rising = [column.name for column in columns if column.rises]
         if rising:
             hint = f'column {rising[0]!r} does: record.time = "{rising[0]}"'
-        return UsageError(f"{table.name}: column {column.name!r} does not rise like a time; {hint}")
+        message = f"{table.name}: column {column.name!r} does not rise like a time; {hint}"
+        return TableError(message, "time")
 
     alone = len(columns) > 2 and len(files) == 1
     if guessed and (dimension in ("strain", "voltage") or not (alone or column.rises)):
         raise other_column()
     if unit and dimension != "time":
-        raise UsageError(
+        raise TableError(
             f"the unit of time must be one of {', '.join(UNITS['time'])} (record.time_unit), not "
-            f"{unit!r}"
+            f"{unit!r}",
+            "time_unit",
         )
     text = "has no unit: seconds are taken"
     if unit:
@@ -347,8 +350,9 @@ def _clock(asked: RecordTable, files: list[Recorded], changes: Changes) -> tuple
         )
     lasts = np.ptp(good)
     if lasts > _LONGEST:
-        raise UsageError(
-            f"{table.name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?"
+        raise TableError(
+            f"{table.name}: lasts {lasts:.4g} s. Is the time in another unit (record.time_unit)?",
+            "time_unit",
         )
     return time, place
 
@@ -412,7 +416,8 @@ def _by_role(
         roles = ("incident", "reflected", "receiving")
         return {role: [named(name, role) for name in getattr(asked, role)] for role in roles}
     if asked.incident or asked.receiving:
-        raise UsageError("record.incident and record.receiving are both required")
+        missing = "receiving" if asked.incident else "incident"
+        raise TableError("record.incident and record.receiving are both required", missing)
     signals = [
         column
         for file in files
@@ -422,9 +427,10 @@ def _by_role(
     usable = [column for column in signals if not column.table.faults]
     if len(usable) not in (2, 4) or asked.reflected:
         names = ", ".join(repr(column.name) for column in signals)
-        raise UsageError(
+        raise TableError(
             f"{files[0].table.name}: {len(signals)} signals ({names}); name them by "
-            "record.incident, record.receiving (and record.reflected)"
+            "record.incident, record.receiving (and record.reflected)",
+            "incident",
         )
     each = len(usable) // 2
     return {"incident": usable[:each], "receiving": usable[each:]}
@@ -444,8 +450,8 @@ def _repeats(column: Column, time: Array) -> bool:
     return alike
 
 
-def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array:
-    """A column as strain."""
+def _strain(column: Column, name: str, bar: BarTable, home: str, changes: Changes) -> Array:
+    """A column as strain; `home` is the table of its bar."""
     dimension, unit = column.unit(bar.unit)
     factor = UNITS.get(dimension, {}).get(unit, 1.0)
     text = f"is strain in {unit}"
@@ -453,17 +459,19 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         text = "has no unit: strain is taken"
     elif dimension == "voltage":
         if not bar.excitation:
-            raise UsageError(
+            message = (
                 f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
                 "(a number, volts)"
             )
+            raise InputError(Fault(message, home))
         factor *= bar.strain_per_volt
         text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     elif dimension != "strain":
-        raise UsageError(
+        message = (
             f"{name}: its unit must be strain, microstrain, % or one of "
             f"{', '.join(UNITS['voltage'])}, not {unit!r}"
         )
+        raise InputError(Fault(message, home, "unit"))
     values = column.checked() * factor
     good = values[np.isfinite(values)]
     if len(good) < max(_FEWEST, len(values) // 2):
@@ -475,10 +483,11 @@ def _strain(column: Column, name: str, bar: BarTable, changes: Changes) -> Array
         raise UsageError(f"{name}: all samples are equal; it contains no wave")
     size = np.quantile(away, 0.98)
     if size > _MOST_STRAIN:
-        raise UsageError(
+        message = (
             f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
             "Is it in another unit (BAR.unit)?"
         )
+        raise InputError(Fault(message, home, "unit"))
     changes.add(text, signal=name)
     return values
 

@@ -21,6 +21,7 @@ from scipy.signal import savgol_filter
 from uqsphere.arrays import Array
 from uqsphere.errors import UsageError
 from uqsphere.mechanics.bars import correct
+from uqsphere.tables import TableError
 
 from .arrivals import Arrivals, find_arrivals
 from .doubts import (
@@ -104,9 +105,10 @@ def read_test(record: Record) -> Reading:
     step = before.step
     wave = before.wave
     if wave.sign > 0.0:
-        raise UsageError(
+        raise TableError(
             "the first wave of the incident bar is tension, compression is required: check "
-            "record.polarity"
+            "record.polarity",
+            "polarity",
         )
     arrivals = find_arrivals(record)
     window = _window(record, arrivals)
