@@ -13,9 +13,9 @@ from scenes import ENDLESS, example
 
 import uqsphere
 from uqsphere.mechanics import contact
-from uqsphere.mechanics.closed_form import loading_time
+from uqsphere.mechanics.closed_form import loading_time, solve_closed
 from uqsphere.mechanics.criteria import CRITERIA, demand
-from uqsphere.mechanics.fracture import LoadingPath, first_fractures, path_of
+from uqsphere.mechanics.fracture import LoadingPath, first_fractures, path_of, static_fractures
 from uqsphere.mechanics.history import trace
 from uqsphere.mechanics.integrator.solve import solve
 from uqsphere.mechanics.scene import Scene
@@ -149,10 +149,50 @@ def test_every_demand_has_a_path_but_what_breaks_nothing() -> None:
         if entry.quantity is not None and entry.follows:
             assert path_of(entry.quantity) is not None
     assert path_of("specific_impact_energy") is None
+    bounded = ("specific_impact_energy", {"largest_energy": 900.0})
+    assert path_of("energy.x", {"energy.x": bounded}) is None
     assert path_of("time_to_first_loss") is None
     assert path_of("alpha_max") is None
     rated = path_of("core_tension.x", {"core_tension.x": ("core_tension", {"rate_0": 200.0})})
     assert rated == LoadingPath(over="force", criterion="core_tension")
+
+
+@pytest.mark.parametrize("law", ["hertz", "plastic"])
+def test_between_platens_the_least_share_of_the_force_is_first(law: str) -> None:
+    """Energies on the way are those of a press with that force; it has no times."""
+    shares = np.array([[0.7, 0.3], [0.3, 0.7], [0.5, np.inf], [np.inf, 1.0]])
+    numbers = {name: value for name, value in ENDLESS.items() if name.startswith("sphere.")}
+    numbers |= {"sphere.onset_pressure": 1e9, "sphere.hardness": 2e9}
+    numbers |= {"platens.E": 210e9, "platens.nu": 0.3, "platens.force": 4e3}
+
+    def press(force: Any) -> Scene:
+        changed = numbers | {"platens.force": force}
+        return example(rows=len(shares), numbers=changed, rig="platens", contact_law=law)
+
+    full = solve_closed(press(4e3), quantities=("energy",)).values["energy"]
+    found = static_fractures(press(4e3), shares, [FORCE, ENERGY])
+    assert found.first.tolist() == [1, 0, 0, -1]
+    assert np.isnan(found.time).all()
+    broken = found.first >= 0
+    again = solve_closed(press(np.where(broken, found.force, 1.0)), quantities=("energy",))
+    np.testing.assert_allclose(found.energy[broken], again.values["energy"][broken], rtol=1e-9)
+    np.testing.assert_allclose(found.force[[1, 2]], np.array([0.3, 0.5]) * 4e3, rtol=1e-12)
+    np.testing.assert_allclose(found.energy[0], 0.3 * full[0], rtol=1e-9)
+
+
+def test_a_massless_sphere_under_a_weight_breaks_as_a_light_one_does() -> None:
+    """Of a sphere a ten-thousandth as heavy as the weight the motion finds nearly the same."""
+    numbers = {name: value for name, value in ENDLESS.items() if name.startswith("sphere.")}
+    for table in ("hammer", "anvil"):
+        numbers |= {f"{table}.E": 210e9, f"{table}.nu": 0.3}
+    numbers |= {"hammer.mass": 100.0, "hammer.speed": 0.3}
+    shares = np.array([[0.9, 0.5], [0.4, 0.5]])
+    weight = example(rows=2, numbers=numbers, rig="drop_weight")
+    moving = first_fractures(weight, shares, [FORCE, ENERGY])
+    static = static_fractures(weight, shares, [FORCE, ENERGY], fidelity="massless")
+    assert static.first.tolist() == moving.first.tolist() == [1, 0]
+    np.testing.assert_allclose(static.force, moving.force, rtol=0.02)
+    np.testing.assert_allclose(static.energy, moving.energy, rtol=0.04)
 
 
 def test_where_faces_yield_the_path_is_that_of_the_law():
@@ -232,4 +272,9 @@ def test_a_run_without_a_motion_tells_what_breaks_and_not_when(tmp_path: Path) -
     results = uqsphere.run(load_study(tmp_path / "study.toml", text=text)).results
     [broken] = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
     assert 0.0 < (broken.value or 0.0) < 1.0
-    assert not results.where("fracture", Kind.MODE_SHARE)
+    assert sum(row.value or 0.0 for row in results.where("fracture", Kind.MODE_SHARE)) == 1.0
+    for kind in (Kind.FORCE_AT_FRACTURE, Kind.ENERGY_AT_FRACTURE):
+        assert all(row.value for row in results.where("fracture", kind))
+    for row in results.where("fracture", Kind.TIME_AT_FRACTURE):
+        assert row.value is None
+        assert "course over time" in row.note

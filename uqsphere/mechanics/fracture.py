@@ -7,20 +7,22 @@ Criteria with a rate effect use one rate per sample, that of the whole window.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from uqsphere.arrays import Array, Places, quiet
+from uqsphere.arrays import Array, Function, Places, quiet
 
+from .closed_form import solve_closed
 from .criteria import CRITERIA, Demands, Parameters, demand
 from .integrator.solve import Motion, check_request, motions
 from .integrator.tracked import ORDER, TERMS
 from .outputs import OUTPUTS, Columns, columns_of, columns_of_press
 from .roots import bisect
-from .scene import Scene
+from .scene import Partner, Scene, answered
 
 #: halvings that refine a crossing within a part of a step, to 2^-49 of the step
 _HALVINGS = 45
@@ -52,17 +54,19 @@ _BY_CRITERION = {quantity: key for key, c in CRITERIA.items() for quantity in (c
 
 
 def path_of(quantity: str, demands: Demands = MappingProxyType({})) -> LoadingPath | None:
-    """How a quantity or a demand follows the loading; None if it does not mean fracture.
+    """How a quantity or a demand follows the loading; None if it does not mean fracture, or says
+    nothing of its moment, as the impact energy, which does not increase during the loading.
 
     >>> path_of("p_max").over, path_of("specific_energy").over, path_of("contact_duration")
     ('force', 'energy', None)
     """
     if quantity in demands:
         key, parameters = demands[quantity]
+        if not CRITERIA[key].follows:
+            return None
         kept = {name: value for name, value in parameters.items() if name != "rate_0"}
         return LoadingPath(over=CRITERIA[key].follows, criterion=key, parameters=kept)
     entry = OUTPUTS.get(quantity)
-    # the impact energy does not increase during the loading
     if entry is None or not entry.fracture or not entry.follows:
         return None
     return LoadingPath(
@@ -133,6 +137,13 @@ def first_fractures(
                 crossings[:, rows, at] = _cross(
                     scene, rows, [courses[row] for row in rows], path, shares[rows, at]
                 )
+    return _first_of(crossings)
+
+
+def _first_of(crossings: Array) -> Fractures:
+    """Fracture by the criterion that is reached first: times, forces and energies (3, n, L) at
+    which each one is.
+    """
     first = np.argmin(crossings[0], axis=1)
     time, force, energy = crossings[:, np.arange(len(first)), first]
     none = np.isinf(time)
@@ -143,6 +154,48 @@ def first_fractures(
         force=force,
         energy=energy,
     )
+
+
+def static_fractures(
+    scene: Scene, shares: Array, paths: Sequence[LoadingPath], *, fidelity: str = "full"
+) -> Fractures:
+    """Fracture of n specimens of a rig without a motion, between platens or under a weight on a
+    massless sphere; arguments as of `first_fractures`.
+
+    All forces rise together, and the energy with them, so that the criterion that needs the least
+    share of the peak force is reached first.  Times are NaN.
+    """
+    answers = solve_closed(scene, fidelity, ("P_max", "energy"))
+    peaks = {"force": answers.values["P_max"], "energy": answers.values["energy"]}
+    # share of the peak force, force and energy at each crossing
+    crossings = np.full((3, *shares.shape), np.nan)
+    crossings[0] = np.inf
+    for at, path in enumerate(paths):
+        rows = np.flatnonzero(answered(answers.status) & (shares[:, at] < 1.0))
+        force, energy = (peak[rows] for peak in peaks.values())
+        stored = partial(_stored_share, scene.struck, rows, force)
+        wanted = np.clip(shares[rows, at], 0.0, 1.0)
+        level = _levels(scene, rows, path, peaks[path.over][rows], wanted)
+        if path.over == "energy":
+            level = _where_reached(stored, level)
+        crossings[:, rows, at] = level, level * force, stored(level) * energy
+    found = _first_of(crossings)
+    timeless = np.full_like(found.time, np.nan)
+    return found._replace(times=np.where(found.times < np.inf, np.nan, np.inf), time=timeless)
+
+
+def _stored_share(struck: Partner, rows: Places, peak: Array, share: Array) -> Array:
+    """Share of the peak energy at a share (n,) of the peak force (n,) [N]."""
+    if struck.face is None:
+        return share ** (5.0 / 3.0)
+    face = struck.face.at(rows)
+    most, now = (face.pressed(face.depth_at(force)).stored for force in (peak, share * peak))
+    return now / most
+
+
+def _where_reached(rising: Function, level: Array) -> Array:
+    """Places (n,) in [0, 1] at which a function that rises reaches levels (n,)."""
+    return bisect(lambda place: rising(place) < level, 0.0, 1.0, _HALVINGS)[1]
 
 
 class _Course(NamedTuple):
@@ -236,8 +289,7 @@ def _levels(scene: Scene, rows: Places, path: LoadingPath, top: Array, share: Ar
                 pressed = columns_of_press(state, struck.takes[rows]) | pressed
         return demand(criterion, Columns({**columns, **pressed}), path.parameters)
 
-    wanted = share * demand_at(top)
-    return bisect(lambda part: demand_at(part * top) < wanted, 0.0, 1.0, _HALVINGS)[1]
+    return _where_reached(lambda part: demand_at(part * top), share * demand_at(top))
 
 
 def _cross(

@@ -13,7 +13,7 @@ from uqsphere.documents import Fault, refusal
 from uqsphere.errors import UsageError
 from uqsphere.materials import library
 from uqsphere.mechanics import closed_form
-from uqsphere.mechanics.fracture import Fractures, first_fractures, path_of
+from uqsphere.mechanics.fracture import Fractures, first_fractures, path_of, static_fractures
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.outputs import SceneAnswers, absent_in, merged_answers
 from uqsphere.mechanics.rigs import law_of
@@ -213,17 +213,21 @@ def later_loading(study: Study, names: Names, rows: Array) -> Array:
 
 def fractures_of(
     study: Study, names: Names, rows: Array, quantities: Names, shares: Array
-) -> Fractures | None:
-    """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand;
-    None where the scene has no motion.
+) -> Fractures | str:
+    """When spheres (n,) first reach a strength: `shares` (n, L) of strength over largest demand; or
+    why that is not known.
     """
     scene = scene_at(study, names, rows)
-    if not dynamics.has_motion(scene, study.model.fidelity):
-        return None
-    paths = (path_of(name, study.demands) for name in quantities)
-    return first_fractures(
-        scene,
-        shares,
-        [*filter(None, paths)],
-        fidelity=study.model.fidelity,
-    )
+    paths = []
+    for name in quantities:
+        path = path_of(name, study.demands)
+        if not path:
+            return f"{name} tells whether a sphere breaks, but not when"
+        paths.append(path)
+    moments = static_fractures
+    if dynamics.has_motion(scene, study.model.fidelity):
+        moments = first_fractures
+    found = moments(scene, shares, paths, fidelity=study.model.fidelity)
+    if (found.first < 0).all():
+        return "no sphere that breaks could be followed to its fracture"
+    return found

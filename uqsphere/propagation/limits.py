@@ -236,6 +236,9 @@ def change_per_sd(
 #: spheres of each replicate whose loading is followed, of the first so many points
 SPECIMENS, SPHERES = 16, 512
 METHOD = "spheres that break, along their loading"
+#: what is told of the moment of fracture, and its quantiles
+STATE, QUANTILES = ("time", "force", "energy"), (0.05, 0.5, 0.95)
+TIMELESS = "a closed form gives the peaks of this loading, not its course over time"
 
 
 def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
@@ -260,6 +263,7 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     yield estimate_row("fracture", "exceedance_probability", exceeded, runs=tables.runs)
     drawn = union.draw_breaking(SPECIMENS, generator)
     if drawn is None:
+        yield from _not_known("no sphere of the sample can break", limits)
         return
     shape = drawn.rows.shape
     flat = (np.arange(shape[0])[:, None] * sample.count + drawn.rows).ravel()
@@ -271,18 +275,31 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
         [limit.quantity for limit in limits],
         drawn.shares.reshape(len(limits), -1).T,
     )
-    if fractures is None or not np.isfinite(fractures.time).any():
-        return  # no motion that fracture would have a moment in
+    if isinstance(fractures, str):
+        yield from _not_known(fractures, limits)
+        return
     first = fractures.first.reshape(shape)
     for k, limit in enumerate(limits):
         by_mode = share(first == k, METHOD, weights=drawn.weights)
         yield estimate_row("fracture", "mode_share", by_mode, limit.name, runs=first.size)
-    for name in ("time", "force", "energy"):
+    for name in STATE:
         values = getattr(fractures, name)
         filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
-        for p in (0.05, 0.5, 0.95):
-            estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
+        for p in QUANTILES:
+            estimate = absent(TIMELESS, METHOD, 0)
+            if filled.any():
+                estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
             yield estimate_row("fracture", f"{name}_at_fracture", estimate, p, runs=first.size)
+
+
+def _not_known(reason: str, limits: Sequence[Limit]) -> Rows:
+    """The rows of what is not known of the moment of fracture, with the reason."""
+    nothing = absent(reason, METHOD, 0)
+    for limit in limits:
+        yield estimate_row("fracture", "mode_share", nothing, limit.name)
+    for name in STATE:
+        for p in QUANTILES:
+            yield estimate_row("fracture", f"{name}_at_fracture", nothing, p)
 
 
 def _each_once(limits: Sequence[Limit]) -> list[Limit]:

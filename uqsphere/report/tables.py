@@ -282,7 +282,11 @@ def fracture(results: Results) -> PageTable:
     broken = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
     rows = [("fracture probability", probability(row)) for row in broken]
     by_mode = results.where("fracture", Kind.MODE_SHARE)
-    rows += [(f"first failure mode: {row.at}", probability(row)) for row in by_mode]
+    for row in by_mode:
+        text = estimate(row)
+        if row.value is not None:
+            text = probability(row)
+        rows.append((f"first failure mode: {row.at}", text))
     medians = {Kind.TIME_AT_FRACTURE: "contact_duration", Kind.FORCE_AT_FRACTURE: "P_max"}
     rows += [
         (f"{row.answer.replace('_', ' ')}, median", estimate(row, medians[row.answer]))
