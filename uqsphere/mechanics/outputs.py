@@ -313,9 +313,9 @@ class SceneAnswers:
     values: the requested quantities, SI; NaN where `status` is not 0.  censored: of
     time_to_first_loss, whether the evaluation window ended first, so that the value is a lower
     bound.  grazes: above 0 where, at the finest tolerance, an error may still decide when contact
-    is first lost, or change a duration (`tracked.GRAZES`); or change a peak (`tracked.RATTLES`).
-    status: a key of `scene.STATUS`.  record: end of the evaluation window [s], or the time after
-    which no requested quantity could change.  steps: of the integrator.
+    is first or finally lost, or change a duration (`tracked.GRAZES`); or change a peak
+    (`tracked.RATTLES`).  status: a key of `scene.STATUS`.  record: end of the evaluation window
+    [s], or the time after which no requested quantity could change.  steps: of the integrator.
     """
 
     values: Mapping[str, Array]

@@ -31,7 +31,7 @@ ROWS = 512
 #: cannot be reached
 REACH = (0.01, 0.5)
 #: what a loss of contact that comes a swing sooner or later changes
-_TIMES = {"time_to_first_loss", "contact_duration", "force_imbalance"}
+_TIMES = {"time_to_first_loss", "loaded_time", "contact_duration", "force_imbalance"}
 
 
 class Check(CheckEntry):

@@ -367,16 +367,20 @@ def _branch_end(s, j, face, end):
 
 @compiled
 def _note_loss(s, j, ends):
-    """The first loss of contact, and how far the error of the approach may move it: by `blur`, and
-    back to `grazed`, when the approach first came so near to zero.
+    """A loss of contact, and how far the error of the approach may move it: by its blur; the first
+    one back to `grazed`, when the approach first came so near to zero.
 
     `grazed` is set to the time of the loss where the approach went straight through; to 0, so that
     the loss counts as moved by all of its time (`solve._undecided`), where the error may undo it.
     """
     lane = s.lane[j]
-    lane.lost = lane.time + ends * s.h[j]
     rate, bow = _bend_of(s, lane.side * LANES + j, ends)
-    lane.blur = lane.faint * s.h[j] / -rate
+    lane.parted = lane.time + ends * s.h[j]
+    lane.parted_blur = lane.faint * s.h[j] / -rate
+    if not math.isnan(lane.lost):
+        return
+    lane.lost = lane.parted
+    lane.blur = lane.parted_blur
     # how deep a gap opens before the approach turns, or the waves jump
     depth = -rate * ((lane.next_jump - lane.time) / s.h[j] - ends)
     if bow > 0.0:
@@ -462,7 +466,7 @@ def after_step(s, j):
             ends = at
             lane.ended_by = End.RECORD
             _end_sooner(s, j, ends)
-    if lane.ended_by == End.LOST and math.isnan(lane.lost):
+    if lane.ended_by == End.LOST:
         _note_loss(s, j, ends)
     if s.wanted & tracked.WANT_AFTER:
         _note_squared_forces(s, j, ends)

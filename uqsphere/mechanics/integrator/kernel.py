@@ -54,7 +54,7 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, OK, PAIR, POINTS, TERMS, End
+from .tracked import ADDED_UP, FULL, GOES_ON, LANES, LINEAR, MASSLESS, OK, PAIR, POINTS, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -77,8 +77,6 @@ _BY_FORCE = 100.0
 #: ten errors of a step, by which the few touches of a row may err, at 16 (h/L)^4 = 1000 errors.  At
 #: loose tolerances h is a sixth of L at most
 _BY_WAVE, _ARCH = 1e3, 1e-2
-#: errors of single steps that add up where they go either way: 100 in ten thousand steps
-_ADDED_UP = 100.0
 #: steps whose errors may all go one way: a step at rest lacks up to 0.003 tolerances of energy
 #: (sweep, balances)
 FREE_STEPS = 1 << 10
@@ -280,7 +278,7 @@ def _set_loss_level(s, j):
     if s.tolerance < s.requested:
         steps = lane.count
     lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * higher(s.size, j)
-    lane.loss_level = max(lane.faint, max(_ADDED_UP * s.error[j], s.requested) * lower(s.size, j))
+    lane.loss_level = max(lane.faint, max(ADDED_UP * s.error[j], s.requested) * lower(s.size, j))
     if s.rigged and not math.isnan(lane.lost):
         lane.loss_level = 0.0  # only the first loss of contact is an answer of its own
 
@@ -525,8 +523,6 @@ def _move_on(s, j, ending):
     if lane.ended_by == End.TOUCHED:
         lane.from_touch = 1
         lane.retouches += 1.0
-    elif lane.ended_by == End.LOST:
-        lane.parted = lane.time + ending * s.h[j]
     for m in range(j, PAIR, LANES):
         if m == lane.side * LANES + j or s.mode == MASSLESS:  # both faces move alike
             if lane.ended_by == End.BRANCH:

@@ -99,6 +99,18 @@ def closing_rate(s, j, face):
 
 
 @compiled
+def _rate_error(s, j, face):
+    """What the errors of single steps may add up to in the rate at which a gap closes; 0 where
+    nothing stands.
+    """
+    m = face * LANES + j
+    scale = s.u_size[j]
+    if s.lightness[m] > 0.0:
+        scale += s.free_size[m]
+    return s.there[m] * tracked.ADDED_UP * s.error[j] * scale
+
+
+@compiled
 def _opened_by_echoes(s, j, bar, past):
     """How much the echoes of the last round trip open the gap at a bar in the next one."""
     lane = s.lane[j]
@@ -553,6 +565,10 @@ def finish(s, j, past, out):
     out.parting = ended
     if not math.isnan(lane.parted):
         out.parting = lane.parted
+    out.parting_blur = lane.parted_blur
+    for face in range(2):
+        if s.rigged and abs(closing_rate(s, j, face)) < _rate_error(s, j, face):
+            out.parting_blur = inf
     if s.wanted & tracked.WANT_RISE:
         top = max(out.x[0], out.x[1])
         power = 2.0 / 3.0

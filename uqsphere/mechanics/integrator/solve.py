@@ -547,8 +547,8 @@ def look_closer(rows: Rows, task: Task) -> Any:
     There are three reasons for another look, and what the last one leaves of them is the row's
     `grazes`, else 0:
 
-    undecided   an error of the approach may decide whether contact is lost, or move the first loss
-                by more than `_FIRM` tolerances: GRAZES
+    undecided   an error may decide whether contact is lost, or move the first loss, or the last one
+                of a rig, by more than `_FIRM` tolerances: GRAZES
     counted     a duration counts contacts behind the first loss, and differs by as much from that
                 of one look more: GRAZES
     compared    many steps, or contacts that were found again, have added errors up, and any answer
@@ -591,20 +591,25 @@ def look_closer(rows: Rows, task: Task) -> Any:
 
 
 def _undecided(answers: Any, task: Task) -> Flags:
-    """Rows in which an error of the approach may decide on the first loss of contact, or move it
-    too far, and something that is wanted depends on it.
+    """Rows in which an error may decide on the first loss of contact, or in rigs on the last one,
+    or move it too far, and something that is wanted depends on it.
     """
     asked = task.wanted & tracked.WANT_CONTACT
     blur = answers["blur"]
+    last = answers["parting_blur"]
     if asked and task.tolerance == task.requested:
         blur = _FIRST_LOOK * blur
+        last = _FIRM * last  # it is a bound: one tolerance
     if task.stop_at_loss and not task.rigged:
         asked = task.wanted & tracked.BY_LOSS
     lost = np.nan_to_num(answers["contact"])
     # a loss that may be none at all has `grazed` 0, so that it moves by all of its time
     moved = np.fmax(lost - answers["grazed"], blur)
-    too_far: Flags = moved > _FIRM * task.requested * lost
-    return too_far & (asked != 0)
+    most = _FIRM * task.requested
+    too_far: Flags = (moved > most * lost) & (asked != 0)
+    if task.wanted & tracked.WANT_PARTING and task.rigged:
+        too_far |= last > most * answers["parting"]
+    return too_far
 
 
 def _differences(before: Any, after: Any, task: Task) -> dict[str, Array]:

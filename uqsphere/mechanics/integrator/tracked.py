@@ -40,8 +40,8 @@ QUEUE = 2048
 #: parts of a round trip in which the waves under way are bounded (`records`)
 CELLS = 512
 
-#: answers of a row that another look may change: the first loss of contact or a duration, where
-#: contact nearly is or is not lost; all of them, peaks too, where it is lost and found so often
+#: answers of a row that another look may change: first and last losses of contact and durations,
+#: where contact nearly is or is not lost; all of them, peaks too, where it is so often
 GRAZES, RATTLES = 1.0, 2.0
 #: what is integrated: theory (9), the linear contact of the paper's section 4, no mass
 FULL, LINEAR, MASSLESS = range(3)
@@ -73,12 +73,13 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
     WANT_SPHERE_ENERGY,
     WANT_MEAN,
     WANT_DURATION,
-    WANT_CONTACT,
+    WANT_CONTACT,  # losses of contact
     WANT_AFTER,  # speeds behind an impact, and the energy sent out
+    WANT_PARTING,  # that last one
     WANT_MOTION,
-) = (1 << k for k in range(9))
+) = (1 << k for k in range(10))
 #: all answers
-WANT_ALL = (1 << 8) - 1
+WANT_ALL = (1 << 9) - 1
 #: what reads all steps of a row again
 WHOLE_PATH = WANT_RISE | WANT_MOTION
 #: what a loss of contact decides
@@ -122,6 +123,7 @@ ANSWER = np.dtype(
             "grazed",  # when an approach was faint before it; 0: its error may undo the loss
             "grazes",  # 0, or why another look may differ: GRAZES, RATTLES; look_closer
             "parting",  # last loss of contact
+            "parting_blur",  # how far errors move it; inf where they may bring another contact
             "rise",  # from a tenth to nine tenths of the largest force
             "ended",  # end of the record
             "unloadings",  # how often a face that yields was unloaded
@@ -142,7 +144,7 @@ WISHES = {
     **dict.fromkeys(("leaving", "parting_speed", "carried_a", "carried_b"), WANT_AFTER),
     "mean_force": WANT_MEAN,
     "stored_sphere": WANT_SPHERE_ENERGY,
-    "parting": WANT_CONTACT,
+    "parting": WANT_CONTACT | WANT_PARTING,
     "duration": WANT_DURATION | WANT_MEAN,
 }
 
@@ -196,6 +198,8 @@ class Rows(NamedTuple):
 CHANGING = -1.0
 #: forces below this share of the largest end the record on infinite bars
 TAIL_SHARE = 0.01
+#: errors of single steps that add up where they go either way: 100 in ten thousand steps
+ADDED_UP = 100.0
 
 
 #: a step that is read again
@@ -271,8 +275,9 @@ LANE = np.dtype(
             "counted_force",  # the largest force by which it does; note_loading
             "lost",  # t_c; first loss of contact; after_step
             "grazed",  # t_c; when an approach was first faint before it, or 0; note_loss
-            "blur",  # t_c; how far the error of the approach moves it; after_step
-            "parted",  # t_c; last loss of contact; move_on
+            "blur",  # t_c; how far the error of the approach moves it; note_loss
+            "parted",  # t_c; last loss of contact; note_loss
+            "parted_blur",  # t_c; how far the error of the approach moves it; note_loss
             "retouches",  # contacts found again; move_on
             "retouches_at_value",  # those before a largest value; after_step
             "retouches_at_peak",  # those before the largest approach; after_step
