@@ -35,6 +35,14 @@ from uqsphere.quantities import (
         (0.5, None, None, "50 %"),
         (0.02017, 0.0199, 0.0204, "2.02 % (1.99 to 2.04 %)"),
         (0.99, 0.98, 0.9998, "99 % (98 to 99.98 %)"),
+        # next to 100 %: to the first digit of the width, or of what the upper end lacks
+        (0.99904, 0.99897, 0.99911, "99.90 % (99.90 to 99.91 %)"),
+        (0.99904, 0.999035, 0.999045, "99.904 % (99.903 to 99.904 %)"),
+        (0.996, 0.991, 0.9999, "99.60 % (99.10 to 99.99 %)"),
+        (1 - 2.6e-6, 1 - 3.1e-6, 1 - 2.1e-6, "99.9997 % (99.9997 to 99.9998 %)"),
+        (0.99916, None, None, "99.92 %"),
+        # all ends to one digit
+        (3.9e-6, 3.88e-6, 3.96e-6, "0.000390 % (0.000388 to 0.000396 %)"),
     ],
 )
 def test_probabilities_with_their_intervals(
@@ -105,6 +113,3 @@ def test_a_probability_next_to_one_is_written_out() -> None:
         assert format_share(1.0 - 10.0**-nines) == text
     assert format_probability(math.nextafter(1.0, 0.0)) == "above 99.9999 %"
     assert (format_share(0.0123), format_share(1.0 - 1e-9)) == ("1.23 %", "99.9999999 %")
-    assert format_probability_estimate(1 - 2.6e-6, 1 - 3.1e-6, 1 - 2.1e-6) == (
-        "99.99974 % (99.99969 to 99.99979 %)"
-    )

@@ -159,13 +159,13 @@ def format_share(share: float) -> str:
 def format_probability(
     value: float | None, high: float | None = None, low: float | None = None
 ) -> str:
-    """Text of a probability: percent to two digits, more near 100 %.
+    """Text of a probability: percent to two digits, near 100 % to the first that is no nine.
 
     It is never rounded to 0 or 100 %.  With the ends of its interval, 0 is "below" the upper and 1
     "above" the lower end; without a value the ends themselves are given.
 
     >>> [format_probability(p) for p in (0.0333, 2.6e-7, 0.999743, 1.0 - 2.6e-7, 0.0)]
-    ['3.3 %', '2.6e-5 %', '99.974 %', 'above 99.9999 %', '0 %']
+    ['3.3 %', '2.6e-5 %', '99.97 %', 'above 99.9999 %', '0 %']
     >>> format_probability(0.0, 7.32e-4), format_probability(1.0, 1.0, 0.9998)
     ('below 0.074 %', 'above 99.98 %')
     >>> format_probability(None, 1e-5), format_probability(None, 1.0, 0.9998)
@@ -203,7 +203,8 @@ def _percent(value: float, direction: int = 0, decimals: int | None = None) -> s
         # a ratio, such as a coefficient of variation, may exceed 100 %
         digits = 3
     elif value > 0.99:
-        digits = 1 - _power(1.0 - value)
+        # the first digit of what is missing to 100 %, and of a bound the second one
+        digits = abs(direction) - _power(1.0 - value)
     return f"{_significant(100.0 * value, digits, direction):.{digits}g} %"
 
 
@@ -213,7 +214,7 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
     >>> format_probability_estimate(0.02017, 0.0199, 0.0204)
     '2.02 % (1.99 to 2.04 %)'
     >>> format_probability_estimate(0.99904, 0.999, 0.99911)
-    '99.904 % (99.900 to 99.911 %)'
+    '99.90 % (99.90 to 99.91 %)'
     >>> format_probability_estimate(None, 0.0, 1e-5), format_probability_estimate(0.2, 0.2, 0.2)
     ('below 0.001 %', '20 %')
     """
@@ -222,14 +223,16 @@ def format_probability_estimate(value: float | None, low: float | None, high: fl
     if value in (0.0, 1.0) and high - low < 1.0:
         return format_probability(value, high, low)
     decimals = None
-    if low > 0.99 and high <= 0.9999:
-        # as many digits as the one next to 100 % has
-        decimals = -1 - _power(1.0 - high)
-    elif low >= 1e-4 and high <= 0.99:
-        # as many digits as keep the ends apart, at most three of the value
-        value_digits = 2 - _power(100.0 * min(value, 1.0 - value))
-        width_digits = 1 - _power(100.0 * (high - low))
-        decimals = max(min(value_digits, width_digits), 0)
+    next_to_all = low > 0.99
+    if low >= 1e-6 and high <= (0.9999 if next_to_all else 0.99):
+        # two digits of the width, at most three of the value
+        gaps = (min(value, 1.0 - value), high - low, 1.0 - high)
+        most, width, missing = (-_power(100.0 * gap + 1e-12) for gap in gaps)
+        decimals = width + 1
+        if next_to_all:
+            # one, and what the upper end lacks of 100 %
+            decimals = max(width, missing)
+        decimals = max(min(most + 2, decimals), 0)
     texts = (_percent(number, decimals=decimals) for number in (value, low, high))
     return with_ends(*texts).replace(" % to", " to")
 

@@ -107,7 +107,7 @@ def pictures_of(results: Results) -> dict[str, Picture]:
             figure = svg(
                 draw_density, results, name, size=(370.0, 190.0), edges=(7.0, 7.0, 4.0, 36.0)
             )
-            drawn[f"density-{number}"] = Picture(title, text, figure)
+            drawn[f"density-{number}"] = Picture(title, text, figure, "probability density")
     columns = indices_of(results, [name for name, _ in quantities[:FIRST]])
     if columns:
         drawn["sobol"] = _sobol(columns)
@@ -147,10 +147,10 @@ def _fragility(results: Results) -> dict[str, Picture]:
     texts += [small(decision.use) for decision in decision_texts(results)]
     text = "; ".join(texts)
     letters = max(len(curve.name) for curve in curves)
-    edges = (62.0, min(max(LETTER * letters, 90.0), 190.0) + 12.0, 58.0, 74.0)
+    edges = (78.0, min(max(LETTER * letters, 90.0), 190.0) + 12.0, 58.0, 74.0)
     wide = svg(draw_fragility, results, size=(822.0, 430.0), edges=edges)
     brief = partial(draw_fragility, brief=True)
-    narrow = svg(brief, results, size=(370.0, 430.0), edges=(58.0, 92.0, 84.0, 84.0))
+    narrow = svg(brief, results, size=(370.0, 430.0), edges=(74.0, 92.0, 84.0, 84.0))
     return {
         "fragility": Picture(title, text, wide),
         "fragility-narrow": Picture(title, text, narrow),

@@ -33,7 +33,7 @@ from .pictures import (
     plain_logarithms,
     write,
 )
-from .sentences import DecisionText, all_together, joint_event
+from .sentences import DecisionText, all_together, chart_title, joint_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,6 +166,7 @@ def draw_fragility(
     rows = _label_edge(axes, below, "below")
     _label_right(axes, right)
     axes.set_xlabel(with_unit(free.meaning, unit), labelpad=6.0 + LINE * rows)
+    axes.set_ylabel(small(chart_title(results)))
 
 
 def _ends_of_interest(free: FreeNumber, curves: Sequence[Curve], places: Sequence[float]) -> Duo:

@@ -234,7 +234,7 @@ def draw_expansion(axes: Axes, results: Results, quantity: str) -> None:
     ends = (pairs.min(), pairs.max())
     axes.plot(ends, ends, color=INK, linewidth=0.9)
     axes.plot(*pairs, "o", ms=3, mfc="none", mec=BLUE, mew=0.8)
-    axes.set(xlabel=with_unit("model run", unit), ylabel="predicted")
+    axes.set(xlabel=with_unit("model run", unit), ylabel=with_unit("predicted", unit))
     axes.locator_params(nbins=4)
     axes.set_aspect("equal", "box")
 

@@ -107,7 +107,10 @@ class DecisionText:
         if decision.target is None and not use:
             return "No target is set."
         if not self._free:
-            return f"{self._target}. Add [margins] for a number to use."
+            text = f"{self._target}. Add [margins] for a number to use"
+            if any(caveat.code == "rate" for caveat in decision.caveats):
+                text += ", and for what the loading rate makes of it"
+            return f"{text}."
         parts = [self._plan(self._free)]
         used = ""
         if not use:

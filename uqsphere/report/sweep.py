@@ -28,7 +28,7 @@ from uqsphere.results.types import Decision, Kind, Range, Results
 from uqsphere.study import Study
 
 from .figures import Picture, svg
-from .format import capital, plain_name, with_unit
+from .format import capital, plain_name, small, with_unit
 from .page import render
 from .pictures import COLOURS
 from .sentences import NO_LIMIT, DecisionText, as_event, chart_title, exceedance_name, joint_event
@@ -343,14 +343,17 @@ def _pictures(sweep: Sweep, frame: pd.DataFrame) -> dict[str, Picture]:
         shown.insert(0, ("sweep-use", title, "use", *scale))
     for name, title, column, unit, factor in shown:
         values = factor * frame[column].astype(float)
-        drawn = svg(_draw, sweep, frame.assign(shown=values), size=(420.0, 270.0))
+        label = with_unit(small(title), unit)
+        drawn = svg(_draw, sweep, frame.assign(shown=values), label, size=(420.0, 270.0))
         text = f"{title}: the numbers are in the table"
         pictures[name] = Picture(with_unit(title, unit), text, drawn)
     return pictures
 
 
-def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
-    """What is `shown` over the first key: a line for each value of the second, and each aim."""
+def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame, label: str) -> None:
+    """What is `shown`, and its label, over the first key: a line for each value of the second, and
+    each aim.
+    """
     key, *others = sweep.keys
     places = _places(sweep)
     names = sweep.meanings
@@ -362,7 +365,7 @@ def _draw(axes: Axes, sweep: Sweep, frame: pd.DataFrame) -> None:
         text = ", ".join(map(str, group))
         axes.plot(rows[key].map(places), rows["shown"], "o-", color=colour, label=text)
     axes.set_xticks(list(places.values()), list(places))
-    axes.set_xlabel(names[0])
+    axes.set(xlabel=names[0], ylabel=label)
     if others:
         axes.legend(title=", ".join(names[1:]), fontsize="small", title_fontsize="small")
 

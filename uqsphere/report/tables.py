@@ -142,9 +142,13 @@ def certificate(results: Results, decision: Decision) -> PageTable:
         rows.append((f"{label(doubt.subject)}: {doubt_text(doubt)}", margin, *at))
     name = exceedance_name(results)
     marked = [k for k, doubt in enumerate(doubts) if doubt.governs]
-    note = "margins rounded to the safe side; bold: governs"
+    note = "bold: governs"
+    failures = "failures"
+    if free:
+        note = f"margins rounded to the safe side; {note}"
+        failures += " at the number"
     if marked and any(doubt.counts for doubt in doubts[: marked[0]]):
-        note += ", as most failures at the number are by it"
+        note += f", as most {failures} are by it"
     if any(doubt.code == "assumed strength" for doubt in doubts):
         note += "; * strength assumed, from the library"
     head = ["limit and what is open", f"{name} at the plan"]
@@ -160,7 +164,7 @@ def limits(results: Results) -> PageTable:
     entries = results.entries
     free = results.study.free
     head = ["limit", f"{exceedance_name(results)} at the plan", "β"]
-    notes = ["bold: governs"]
+    notes = ["bold: governs", "β: reliability index, the normal quantile of 1 - probability"]
     if free:
         head += [f"best estimate of the {free.meaning}", f"{free.meaning} to use", "range"]
         notes.append(
@@ -390,7 +394,7 @@ def drivers(results: Results) -> Iterator[PageTable]:
         moved = {_variable(row): per_cent * (row.value or 0.0) for row in rows}
         if not any(moved.values()):
             continue
-        changes[label(subject)] = {name: f"{x:+.3g}" for name, x in moved.items()}
+        changes[label(subject)] = {name: _points(x) for name, x in moved.items()}
         for name, x in moved.items():
             largest[name] = max(largest.get(name, 0.0), abs(x))
         for row in results.where(subject, Kind.DESIGN_POINT):
@@ -411,6 +415,11 @@ def drivers(results: Results) -> Iterator[PageTable]:
             body.append((head, *(column.get(name, DASH) for column in columns.values())))
         if columns:
             yield PageTable(caption, ("input", *columns), body, note=note)
+
+
+def _points(change: float) -> str:
+    """A change in percentage points, to two digits."""
+    return f"{change:+.2g}".replace("e-0", "e-")
 
 
 def _variable(row: Answer) -> str:
