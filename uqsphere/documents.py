@@ -154,6 +154,7 @@ def parse_text(text: str, path: Path) -> dict[str, Any]:
         message = "brackets are nested deeper than any study needs"
     except ValueError as error:  # a fault of syntax, or a number that Python does not read
         message, *rest = re.split(r" \(at | for integer", str(error))
+        message = re.sub(r"\('(.*?)',?\)", lambda at: at[1].replace("', '", "."), message)
         where = re.match(r"line (\d+)", rest[-1])
         line = text.rstrip("\n").count("\n") + 1
         if where:

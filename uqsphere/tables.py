@@ -320,7 +320,9 @@ class Table:
         values = self._parsed([row[at] for row in self.rows], column, key, blank)
         with np.errstate(over="ignore"):
             values *= factor
-        self.refuse(key, f"{column}: a number is too large", np.abs(values) > LARGEST_NUMBER)
+        large = np.abs(values) > LARGEST_NUMBER
+        self.refuse(key, f"{column}: a number is too large", large)
+        values[large] = math.nan
         return values
 
     def _factor(

@@ -124,6 +124,7 @@ def test_two_keys_give_every_combination() -> None:
         (["inputs.c=1, 1"], "given twice"),
         (["inputs.c=1", "inputs.c=2"], "given twice"),
         (["inputs.c=1", "inputs.k=1", "inputs.a.sd=1"], "at most 2 keys"),
+        (["inputs.c=9,5 mm, 3 mm"], "a decimal comma? Write 9.5 mm, and the unit of every value"),
         (["inputs.c=1, x"], "s.toml"),
         (["analysis.q=1, 2"], "q"),
     ],
@@ -138,9 +139,14 @@ def test_what_makes_no_sweep_is_refused_before_any_run(
 
 
 def test_a_folder_with_a_run_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [*SWEEP, "--over", "inputs.c=1, 2"]
+    Path("s-sweep").touch()
+    assert main(command) == 5
+    assert capsys.readouterr().err == "s-sweep is not a directory. Choose another with --out\n"
+    Path("s-sweep").unlink()
     Path("s-sweep").mkdir()
     Path("s-sweep/results.json").write_text("{}")
-    assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 5
+    assert main(command) == 5
     assert "holds a run" in capsys.readouterr().err
 
 

@@ -93,7 +93,8 @@ CASES = [
         "a word without quotes", 'shape = "trapezoid"', "shape = trapezoid", "quotes", '"trapezoid"'
     ),
     one("a key twice", "nu = 0.25", "nu = 0.25\nnu = 0.3", "written twice", at="nu = 0.3"),
-    one("a table twice", "[pulse]", "[striker]", "written twice", at="[striker]\nshape"),
+    one("a table twice", "[pulse]", "[striker]", "striker twice; this is", at="[striker]\nshape"),
+    one("lone returns", "[pulse]\n", "[pulse]\r", "save the file with line feeds", at="[pulse]"),
     one("a text without end", '"40 mm"', '"40 mm', "does not end on its line", at="diameter = "),
     # numbers that are none
     one("not a number", "nu = 0.25", "nu = nan", "sphere.nu", "nan is not a finite number"),

@@ -126,6 +126,12 @@ def _grid(over: Names) -> dict[str, list[str]]:
     grid = {}
     for text in over:
         key, _, listed = map(str.strip, text.partition("="))
+        comma = re.search(r"(\d+),(\d+\s?[^\W\d][^,\"']*)", listed)
+        if comma:
+            raise UsageError(
+                f"--over {text!r}: a decimal comma? Write {comma[1]}.{comma[2]}, and the unit of "
+                "every value"
+            )
         values = [part.strip().strip("\"'") for part in listed.split(",")]
         if not key or "" in values:
             raise UsageError(

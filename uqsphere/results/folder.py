@@ -82,9 +82,11 @@ def owner_of(folder: Path) -> str:
 
 
 def check_kind(folder: Path, owner: str) -> None:
-    """Raise FolderError where another command has written into a folder; scenes are told apart by
-    `uqsphere.propagation.check_owner`.
+    """Raise FolderError where another command has written into a folder, or it is none; scenes are
+    told apart by `uqsphere.propagation.check_owner`.
     """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
     before = owner_of(folder)
     if not before and (folder / RESULTS).exists():
         before = _SCENE
@@ -104,8 +106,6 @@ def locked(folder: Path, owner: str) -> Iterator[None]:
         files of the user's; AccessError where the system refuses.
     """
     with _accessing(folder):
-        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise FolderError(f"{as_text(folder)} is not a directory. Choose another with --out")
         check_kind(folder, owner)
         folder.mkdir(parents=True, exist_ok=True)
         found = {name for name in os.listdir(folder) if not name.startswith(PART)}
