@@ -38,7 +38,8 @@ def publish(name: str) -> str:
         run = uqsphere.run(uqsphere.load_study(source), model, out=Path(place) / name)
         files = {file: (Path(place) / name / file).read_bytes() for file in KEPT}
     shutil.rmtree(HERE / name, ignore_errors=True)
-    write_files(HERE / name, files)
+    assert run.study
+    write_files(HERE / name, files, run.study.scene)
     write_page(HERE / name)  # with links to the files that are kept
     decisions = [f"to {one.aim}: {one.verdict}" for one in run.results.decisions]
     return (

@@ -73,11 +73,11 @@ class TableFile(Section):
 
 
 class InputError(UsageError):
-    """An input file cannot be used: faults by their keys, from the top of the file."""
+    """An input file cannot be used: `faults` by their keys, from the top of the file."""
 
-    def __init__(self, *faults: Fault) -> None:
-        self.faults = faults
-        super().__init__("\n".join(map(str, faults)))
+    def __init__(self, message: str, *at: str) -> None:
+        super().__init__(message)
+        self.faults = [Fault(message, *at)]
 
 
 @contextmanager

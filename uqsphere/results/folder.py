@@ -74,11 +74,7 @@ def owner_by_command(command: str, file: Path) -> str:
 
 def owner_of(folder: Path) -> str:
     """The owner of a folder; empty where nothing was written there."""
-    with contextlib.suppress(UqsphereError, ValueError):
-        first, _, _ = read_given(folder / SUMS, LARGEST).decode().partition("\n")
-        if first.startswith(_OWNER):
-            return first.removeprefix(_OWNER)
-    return ""
+    return _listed(folder).get("", "").removeprefix(_OWNER)
 
 
 def check_kind(folder: Path, owner: str) -> None:
@@ -146,8 +142,7 @@ def write_files(folder: Path, files: Mapping[str, str | bytes], owner: str = "")
     stale = set[str]()
     if owner:
         check_kind(folder, owner)
-    else:
-        owner = owner_of(folder)
+    owner = owner or owner_of(folder)
     if RESULTS in files:
         stale = before.keys() - HISTORY
     elif not HISTORY.isdisjoint(files):
@@ -211,12 +206,16 @@ def read_checked(folder: Path, name: str) -> bytes:
 
 def sums_of(folder: Path) -> dict[str, str]:
     """Checksums by file; none where there is no such list."""
+    return {name: digest for name, digest in _listed(folder).items() if name}
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    """Checksums by file, and without a name the line of the owner."""
     sums = {}
     with contextlib.suppress(UqsphereError, ValueError):
         for line in read_given(folder / SUMS, LARGEST).decode().splitlines():
             digest, _, name = line.partition("  ")
-            if not line.startswith(_OWNER):
-                sums[name] = digest
+            sums[name] = digest
     return sums
 
 

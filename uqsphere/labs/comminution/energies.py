@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from uqsphere.arrays import Array, Cells, Values
-from uqsphere.documents import Fault
 from uqsphere.errors import UqsphereError
 from uqsphere.labs.files import InputError
 from uqsphere.materials import materials_of
@@ -35,7 +34,7 @@ def stiffness(asked: ComminutionDocument, place: str) -> float:
     """
     body = attrgetter(place)(asked)
     if body.E is None or body.nu is None:
-        raise InputError(Fault("E and nu, or a material of the library, are required", place))
+        raise InputError("E and nu, or a material of the library, are required", place)
     return float(body.E / (1.0 - body.nu**2))
 
 
@@ -53,8 +52,7 @@ def particle_energies(
     elif material.density:
         mass = laws.mass_of(diameter, material.density)
     else:
-        message = "density is required, or a column tests.mass"
-        raise InputError(Fault(message, "material"))
+        raise InputError("density is required, or a column tests.mass", "material")
     name = want.measured
     energy = table.numbers(getattr(want, name), name, want.unit, key=name)
     meaning = {"force": "contact", "speed": "input"}.get(name, want.energy_is)

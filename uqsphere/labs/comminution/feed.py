@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Function, Values, special
-from uqsphere.documents import Fault
 from uqsphere.labs.files import InputError, JsonObject
 from uqsphere.tables import TableError
 
@@ -161,12 +160,11 @@ def answer_feed(posterior: Posterior, asked: ComminutionDocument, folder: Path) 
     density = asked.material.density
     product = asked.product
     if not feed:
-        raise InputError(Fault("the input file has no table [feed]", "feed"))
+        raise InputError("the input file has no table [feed]", "feed")
     if feed.rebreak and not product:
-        message = "rebreak needs the sizes of fragments: add [product]"
-        raise InputError(Fault(message, "feed.rebreak"))
+        raise InputError("rebreak needs the sizes of fragments: add [product]", "feed.rebreak")
     if not density:
-        raise InputError(Fault("density is required", "material"))
+        raise InputError("density is required", "material")
     classes = load_classes(feed.sizes, folder)
     chosen = np.unique(np.linspace(0, len(posterior.law) - 1, DRAWS).astype(int))
     posterior = posterior.at(chosen)

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Duo, Function, Places, Values, quiet, special
-from uqsphere.documents import Fault
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import InputError, JsonObject, csv_text
 from uqsphere.uq import ENDS
@@ -262,10 +261,10 @@ def sample(
     tried = begin + np.linspace(-10.0, 10.0, 161)[:, None] * lead
     values = value(tried)
     if not np.isfinite(values).any():
-        message = (
-            f"{model.law}: no parameters agree with both tests and priors. Is a prior far out?"
+        raise InputError(
+            f"{model.law}: no parameters agree with both tests and priors. Is a prior far out?",
+            "tests.prior",
         )
-        raise InputError(Fault(message, "tests.prior"))
     begin = tried[np.argmax(values)]
     near = minimize(loss, begin, method="Nelder-Mead", options={"maxiter": 4000}).x
     best = minimize(loss, near, method="BFGS")

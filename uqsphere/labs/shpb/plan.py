@@ -84,20 +84,21 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         )
     for name in asked.limits:
         if name not in limits:
-            raise InputError(Fault(unknown("limit that means fracture", name, limits), "limits"))
+            raise InputError(unknown("limit that means fracture", name, limits), "limits")
     limits = {name: limit for name, limit in limits.items() if name in (asked.limits or limits)}
     try:
         study = uqsphere.load_study(path, _margins(asked, study))
     except StudyError as error:
-        faults = []
+        refused = InputError(str(error))
+        refused.faults = []
         for fault in error.problems:
             message = fault.message.removesuffix(" (set by --set)")
             key = fault.path.replace("margins.solve", "free").removeprefix("margins.")
             if key.startswith("between") and not asked.between:
                 key = "free"
                 message += ". Give between = [lowest, highest]"
-            faults.append(Fault(message, key))
-        raise InputError(*faults) from None
+            refused.faults.append(Fault(message, key))
+        raise refused from None
     margins = study.margins
     assert margins
     free = margins.solve
@@ -192,8 +193,9 @@ def _margins(asked: PlanDocument, study: Study) -> list[str]:
     solved = margins.solve if margins else ""
     free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
     if free not in numbers:
-        message = f"must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}"
-        raise InputError(Fault(message, "free"))
+        raise InputError(
+            f"must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}", "free"
+        )
     between: Sequence[str] | None = asked.between
     if not between:
         if solved == free:

@@ -12,7 +12,6 @@ import numpy as np
 
 from uqsphere import tables
 from uqsphere.arrays import Array, Flags, Pair
-from uqsphere.documents import Fault
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import InputError
 from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_comment
@@ -459,19 +458,20 @@ def _strain(column: Column, name: str, bar: BarTable, home: str, changes: Change
         text = "has no unit: strain is taken"
     elif dimension == "voltage":
         if not bar.excitation:
-            message = (
+            raise InputError(
                 f"{name} is in {unit}: the bridge is required too, for example excitation = 5.0 "
-                "(a number, volts)"
+                "(a number, volts)",
+                home,
             )
-            raise InputError(Fault(message, home))
         factor *= bar.strain_per_volt
         text = f"is in {unit}: {bar.strain_per_volt * 1e6:.5g} microstrain a volt"
     elif dimension != "strain":
-        message = (
+        raise InputError(
             f"{name}: its unit must be strain, microstrain, % or one of "
-            f"{', '.join(UNITS['voltage'])}, not {unit!r}"
+            f"{', '.join(UNITS['voltage'])}, not {unit!r}",
+            home,
+            "unit",
         )
-        raise InputError(Fault(message, home, "unit"))
     values = column.checked() * factor
     good = values[np.isfinite(values)]
     if len(good) < max(_FEWEST, len(values) // 2):
@@ -483,11 +483,12 @@ def _strain(column: Column, name: str, bar: BarTable, home: str, changes: Change
         raise UsageError(f"{name}: all samples are equal; it contains no wave")
     size = np.quantile(away, 0.98)
     if size > _MOST_STRAIN:
-        message = (
+        raise InputError(
             f"{name}: a strain of {size:.3g}, but no elastic bar bears more than {_MOST_STRAIN:g}. "
-            "Is it in another unit (BAR.unit)?"
+            "Is it in another unit (BAR.unit)?",
+            home,
+            "unit",
         )
-        raise InputError(Fault(message, home, "unit"))
     changes.add(text, signal=name)
     return values
 
