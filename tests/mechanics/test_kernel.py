@@ -19,7 +19,17 @@ import pytest
 from scenes import EXAMPLE, example, scaled_scene
 
 from uqsphere import evaluate, load_study
-from uqsphere.mechanics.integrator import events, faces, incoming, kernel, lanes, records, tracked
+from uqsphere.mechanics.integrator import (
+    events,
+    faces,
+    flights,
+    incoming,
+    kernel,
+    lanes,
+    records,
+    touch,
+    tracked,
+)
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator.solve import motion, solve
 from uqsphere.mechanics.integrator.tracked import LANES, STATE
@@ -431,7 +441,7 @@ def test_the_hot_loops_are_vectorised(name: str) -> None:
 
 
 def test_the_fields_of_a_lane_name_functions_that_write_them() -> None:
-    modules = (events, faces, incoming, kernel, lanes, records)
+    modules = (events, faces, flights, incoming, kernel, lanes, records, touch)
     names = {name.lstrip("_") for module in modules for name in vars(module)} | {"records"}
     text = Path(tracked.__file__).read_text()
     fields = re.findall(r"^ +\(?\"\w+\", .*; ([a-z_, ]+)$", text[text.index("\nLANE = ") :], re.M)

@@ -62,6 +62,12 @@ def higher(column, j):
 
 
 @compiled
+def is_pressed(s, j):
+    """Whether any face of a lane is pressed."""
+    return max(s.x[0, j], s.x[0, LANES + j]) > 0.0
+
+
+@compiled
 def new_face(s, m, pole):
     """A face before anything has yielded; pole: tracked.POLE, onset inf where it stays elastic."""
     _be_spring(s, m, pole.stiffness)

@@ -11,12 +11,14 @@ lane one step:
     enter     idle lanes take the next rows
     waves     how long the step may be; what runs towards the sphere in it, theory (4) and (5)
     series    the motion as a power series, theory (9) or (R3), and how far it holds (`lanes`);
-              from a touch, where it does not, by Runge-Kutta (`_choose`)
+              from a touch, where it does not, by Runge-Kutta (`touch`)
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
     events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
-    go on     the next state (`_move_on`) and length (`_propose`), the next jump of the waves
-              (`_jump`); whether the record ends there (`_fate`): then the lane leaves (`_leave`)
+    go on     the next state (`_move_on`), the round trips of a rig in which nothing happens
+              (`flights`), the next length (`_propose`) and jump of the waves (`_jump`)
+    end       whether the record ends there (`_over_at_loss`, `_fate`): then the lane leaves
+              (`_leave_if_done`) with its answers (`records.finish`)
 
 Names that mean the same everywhere: `s`, all lanes (`tracked.STATE`); `j`, the number of a lane,
 and `lane`, what it knows (`tracked.LANE`); `face`, 0 at A and 1 at B, and `m`, its column in the
@@ -38,12 +40,13 @@ from __future__ import annotations
 import math
 from math import inf, nan
 
-from . import events, incoming, lanes, records, tracked
+from . import events, flights, incoming, lanes, records, touch, tracked
 from .compiled import compiled
 from .faces import (
     MOST_SWITCHES,
     face_force,
     higher,
+    is_pressed,
     largest_approach,
     lower,
     most_force,
@@ -54,7 +57,7 @@ from .faces import (
     within_spring,
     wrong_branch,
 )
-from .tracked import ADDED_UP, FULL, GOES_ON, LANES, LINEAR, MASSLESS, OK, PAIR, POINTS, TERMS, End
+from .tracked import FULL, GOES_ON, LANES, LINEAR, MASSLESS, OK, PAIR, POINTS, TERMS, End
 
 #: longest trial step over the last step: without and with waves that come back, for which a step
 #: that fails costs the reading of the waves anew
@@ -95,49 +98,40 @@ def march(rows, order, state, past, paths, out):
     live = 0
     while True:
         for j in range(LANES if live < LANES else 0):
-            lane = s.lane[j]
-            while lane.number < 0 and taken < len(order):
+            while s.lane[j].number < 0 and taken < len(order):
                 _enter(s, j, order[taken], rows)
-                lane.place_in_order = taken
+                s.lane[j].place_in_order = taken
                 taken += 1
-                if lane.fate != GOES_ON:
-                    _leave(s, j, past, out)
+                _leave_if_done(s, j, past, out)
         _waves(s, past)
         _series(s)
         live = 0
         for j in range(LANES):
-            lane = s.lane[j]
-            if lane.number < 0:
+            if s.lane[j].number < 0:
                 continue
             if _holds(s, j):
                 ending = events.after_step(s, j)
                 _keep(s, j, ending, past)
-                if s.wanted & tracked.WANT_MOTION and lane.count <= paths.shape[1]:
-                    _give_out(s, j, ending, paths[lane.place_in_order, lane.count - 1])
+                if s.wanted & tracked.WANT_MOTION:
+                    _give_out(s, j, ending, paths)
                 _go_on(s, j, ending, past, rows)
-            if lane.fate != GOES_ON:
-                _leave(s, j, past, out)
-            live += lane.number >= 0
+            _leave_if_done(s, j, past, out)
+            live += s.lane[j].number >= 0
         if live == 0 and taken >= len(order):
             break
 
 
-@compiled(inline=True)
-def _leave(s, j, past, out):
-    """The row of a lane is done: its status, and its answers if it has any."""
+@compiled
+def _leave_if_done(s, j, past, out):
+    """Free the lane of a row that goes on no more: its status, and its answers if it has any."""
     lane = s.lane[j]
-    r = lane.number
-    out[r].status = lane.fate
-    lane.number = -1
-    if lane.fate != OK:
+    if lane.fate == GOES_ON:
         return
-    out[r].steps = lane.count
-    # the tail between infinite bars, in which both faces are pressed, belongs to the record
-    left = 0.0
-    if not s.rigged and lane.horizon == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
-        left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
-    records.note_loading(s, j, left)
-    records.finish(s, j, past, out[r])
+    answer = out[lane.number]
+    answer.status = lane.fate
+    lane.number = -1
+    if lane.fate == OK:
+        records.finish(s, j, past, answer)
 
 
 # --- enter
@@ -146,55 +140,59 @@ def _leave(s, j, past, out):
 @compiled
 def _enter(s, j, r, rows):
     """Put the start of a row into a lane: first touch, or what moves towards the sphere."""
+    s.lane[j] = s.blank[0]
     lane = s.lane[j]
     pulse_end = rows.breaks[r, -1]
-    level = 0.1  # scale of x that is expected at least
-    if not s.rigged:
-        level *= min(1.0, pulse_end)
-    s.lane[j] = s.blank[0]
     lane.number = r
-    s.error[j] = s.local
     lane.mass = rows.mass[r]
+    lane.horizon = rows.horizon[r]
+    lane.pulse_end = pulse_end * (1.0 - 1e-12)
+    s.error[j] = s.local
     s.inverse_mu[j] = 1.0 / lane.mass
     if s.mode == MASSLESS:
         s.inverse_mu[j] = 0.0
-    lane.horizon = rows.horizon[r]
-    lane.pulse_end = pulse_end * (1.0 - 1e-12)
-    quickest = max(1.0 / lane.mass, 1.0)
-    stiffest = 1.0
-    closes = 0.0
     # first guesses: scales that are too small cost steps, too large ones accuracy
-    s.u_size[j] = 0.1 * level
+    level = 0.1  # scale of x that is expected at least
+    heavy = 1.0  # a heavy sphere moves slowly
     if s.rigged:
-        s.u_size[j] *= min(1.0, s.inverse_mu[j])  # a heavy sphere moves slowly
+        heavy = min(1.0, s.inverse_mu[j])
+    else:
+        level *= min(1.0, pulse_end)
+    s.u_size[j] = 0.1 * level * heavy
     for face in range(2):
-        m = face * LANES + j
-        pole = rows.poles[r, face]
-        new_face(s, m, pole)
-        lane.reflect[face] = rows.reflections[r, face]
-        lane.trips[face] = rows.round_trips[r, face]
-        s.gives[m] = pole.gives
-        s.lightness[m] = pole.lightness
-        s.there[m] = pole.there
-        s.free[0, m] = pole.speed
-        s.x[0, m] = 0.0
-        s.u[0, m] = rows.speed[r]
-        s.size[m] = level * min(1.0, pole.stiffness ** (-2.0 / 3.0))
-        s.free_size[m] = 1.0
-        if pole.lightness > 0.0:
-            s.free_size[m] = 0.1 * min(1.0, pole.lightness)
-        lane.touched[face] = 1.0 - pole.there
-        closes = max(closes, records.closing_rate(s, j, face))
-        quickest = max(quickest, pole.lightness)
-        stiffest = max(stiffest, pole.stiffness)
+        _set_up_face(s, j, face, rows, level)
     lane.by_law = s.stiffness[j] != 1.0 or s.stiffness[LANES + j] != 1.0
-    lane.quickest = quickest * stiffest
+    quickest = max(max(1.0 / lane.mass, 1.0), higher(s.lightness, j))
+    lane.quickest = quickest * max(1.0, higher(s.stiffness, j))
     lane.first_echo = min(lane.trips[0], lane.trips[1])
     if pulse_end == inf and lane.first_echo == inf:
         lane.steady_level = 1.0
     _jump(s, j, rows)  # at first touch the waves begin
+    closes = max(flights.closing_rate(s, j, 0), flights.closing_rate(s, j, 1))
     if s.rigged and closes <= 0.0:
         lane.fate = tracked.NEVER_CLOSES
+
+
+@compiled
+def _set_up_face(s, j, face, rows, level):
+    """What stands at a pole of a row, and the law of the face there, before first touch."""
+    lane = s.lane[j]
+    m = face * LANES + j
+    pole = rows.poles[lane.number, face]
+    new_face(s, m, pole)
+    lane.reflect[face] = rows.reflections[lane.number, face]
+    lane.trips[face] = rows.round_trips[lane.number, face]
+    lane.touched[face] = 1.0 - pole.there
+    s.gives[m] = pole.gives
+    s.lightness[m] = pole.lightness
+    s.there[m] = pole.there
+    s.free[0, m] = pole.speed
+    s.x[0, m] = 0.0
+    s.u[0, m] = rows.speed[lane.number]
+    s.size[m] = level * min(1.0, pole.stiffness ** (-2.0 / 3.0))
+    s.free_size[m] = 1.0
+    if pole.lightness > 0.0:
+        s.free_size[m] = 0.1 * min(1.0, pole.lightness)
 
 
 # --- waves
@@ -218,8 +216,7 @@ def _waves(s, past):
         if lane.number < 0:
             s.h[j] = s.h[LANES + j] = 0.0
             continue
-        _try_step(s, j)
-        _set_loss_level(s, j)
+        _try_length(s, j)
         heard = incoming.heard(lane, lane.first_echo)
         if heard:
             incoming.echo_steps(s, j, past)
@@ -236,51 +233,17 @@ def _waves(s, past):
 
 
 @compiled
-def _try_step(s, j):
-    """The trial step of a lane, and how far the series of its root may part from the root."""
+def _try_length(s, j):
+    """The length of the trial step of a lane."""
     lane = s.lane[j]
-    scale = lower(s.size, j)
+    left = lane.next_jump - lane.time
     if lane.from_touch:
-        brief = (_BY_FORCE * s.error[j] * (1.0 / lane.quickest) * scale) ** 0.4
+        brief = (_BY_FORCE * s.error[j] * (1.0 / lane.quickest) * lower(s.size, j)) ** 0.4
         # the wave that presses may bend over what is left up to its next jump
         bend = min(_BY_WAVE * s.error[j], _ARCH)
-        smooth = 0.5 * math.sqrt(math.sqrt(bend)) * (lane.next_jump - lane.time)
+        smooth = 0.5 * math.sqrt(math.sqrt(bend)) * left
         lane.proposed = min(lane.proposed, min(brief, smooth))
-    s.h[j] = min(min(lane.proposed, lane.next_jump - lane.time), lane.first_echo)
-    s.h[LANES + j] = s.h[j]
-    # impulse by which a step may err because the series of its root has parted from the root
-    allowed = inf
-    if s.mode == FULL:
-        allowed = lane.mass * s.u_size[j]
-    for m in range(j, PAIR, LANES):
-        if s.lightness[m] > 0.0:
-            allowed = min(allowed, s.free_size[m] / s.lightness[m])
-    parts = _APART
-    if s.rigged:
-        parts = _APART_IN_RIGS
-    s.wrong_allowed[j] = parts * s.error[j] * min(scale, allowed)
-    if s.mode == LINEAR or lane.from_touch:  # no root, or cubics in place of the series
-        s.wrong_allowed[j] = inf
-
-
-@compiled
-def _set_loss_level(s, j):
-    """What an approach may err by, and the approach below which a loss of contact is looked for.
-
-    `faint`, that error, is the tolerance of this look times the scale of the larger approach, times
-    the share that is left of the error allowed in one step (less once a face has yielded, and from
-    `FREE_STEPS` on).  In a look closer than what is requested every step may have erred by as much,
-    and all one way.  Only a face that has been well above what is faint (`touched`) can lose
-    contact.
-    """
-    lane = s.lane[j]
-    steps = 0
-    if s.tolerance < s.requested:
-        steps = lane.count
-    lane.faint = (1.0 + steps) * s.tolerance * s.error[j] / s.local * higher(s.size, j)
-    lane.loss_level = max(lane.faint, max(ADDED_UP * s.error[j], s.requested) * lower(s.size, j))
-    if s.rigged and not math.isnan(lane.lost):
-        lane.loss_level = 0.0  # only the first loss of contact is an answer of its own
+    s.h[j] = s.h[LANES + j] = min(min(lane.proposed, left), lane.first_echo)
 
 
 # --- series
@@ -300,6 +263,7 @@ def _series(s):
         lane = s.lane[j]
         if lane.number >= 0:
             _choose(s, j)
+            _allow_root(s, j)
     lanes.shorten_to_roots(s)
     lanes.survey(s)
 
@@ -315,12 +279,33 @@ def _choose(s, j):
     left = lane.next_jump - lane.time
     if lane.from_touch:
         theta = 1.0
-        events.step_from_touch(s, j)
+        touch.step_from_touch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
     elif 2.0 * theta * s.h[j] > left:
         theta = min(theta, 0.5 * left / s.h[j])
     s.theta[j] = s.theta[LANES + j] = theta
+
+
+@compiled
+def _allow_root(s, j):
+    """The impulse by which a step may err because the series of its root has parted from the
+    root.
+    """
+    lane = s.lane[j]
+    if s.mode == LINEAR or lane.from_touch:  # no root, or cubics in place of the series
+        s.wrong_allowed[j] = inf
+        return
+    allowed = lower(s.size, j)
+    if s.mode == FULL:
+        allowed = min(allowed, lane.mass * s.u_size[j])
+    for m in range(j, PAIR, LANES):
+        if s.lightness[m] > 0.0:
+            allowed = min(allowed, s.free_size[m] / s.lightness[m])
+    parts = _APART
+    if s.rigged:
+        parts = _APART_IN_RIGS
+    s.wrong_allowed[j] = parts * s.error[j] * allowed
 
 
 # --- holds
@@ -336,32 +321,41 @@ def _holds(s, j):
     if lane.attempts > ATTEMPTS:
         lane.fate = tracked.STUCK
         return False
-    if lane.by_law and not lane.from_touch and _change_branch(s, j):
-        return False
     if lane.from_touch:
         reached = within_spring(s, j)
         if reached < 1.0:
             lane.proposed = reached * s.h[j]
             return False
+    elif lane.by_law and _change_branch(s, j):
+        return False
+    again = _length_again(s, j)
+    if again == inf:
+        return True
+    lane.proposed = again
+    if again <= 1e-15 * (1.0 + lane.time):
+        lane.fate = tracked.STUCK
+    return False
+
+
+@compiled
+def _length_again(s, j):
+    """The length with which a step whose series do not hold is tried again; inf where they do."""
+    lane = s.lane[j]
     sum_at_end = s.at[POINTS, j] + s.at[POINTS, LANES + j]
     left_out = (s.misfit[j] + s.misfit[LANES + j]) * s.h[j]
     if s.excess[j] > 1.0:  # the root's series has parted from the root
-        lane.proposed = 0.5 * s.theta[j] * s.h[j]
-    elif not (s.theta[j] > 0.0 and abs(sum_at_end) < inf):  # a series has overflowed
-        lane.proposed = 0.05 * s.h[j]
-    elif not left_out > s.error[j] * lower(s.size, j):
-        return True
-    else:
-        # an echo is not fitted: a wave bends where the step that sent it ends.  It is tried again
-        # up to there, then shorter
-        lane.proposed = 0.5 * s.h[j]
-        joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
-        if joints > 0 and not lane.one_step_echo:
-            lane.one_step_echo = 1
-            lane.proposed = s.h[j]
-    if lane.proposed <= 1e-15 * (1.0 + lane.time):
-        lane.fate = tracked.STUCK
-    return False
+        return 0.5 * s.theta[j] * s.h[j]
+    if not (s.theta[j] > 0.0 and abs(sum_at_end) < inf):  # a series has overflowed
+        return 0.05 * s.h[j]
+    if not left_out > s.error[j] * lower(s.size, j):
+        return inf
+    # an echo is not fitted: a wave bends where the step that sent it ends.  It is tried again up to
+    # there, then shorter
+    joints = max(lane.last[0] - lane.first[0], lane.last[1] - lane.first[1])
+    if joints > 0 and not lane.one_step_echo:
+        lane.one_step_echo = 1
+        return s.h[j]
+    return 0.5 * s.h[j]
 
 
 @compiled
@@ -418,9 +412,12 @@ def _keep(s, j, ending, past):
 
 
 @compiled(inline=True)
-def _give_out(s, j, ending, path):
-    """The step as a `Motion` has it."""
+def _give_out(s, j, ending, paths):
+    """The step as a `Motion` has it, if there is room."""
     lane = s.lane[j]
+    if lane.count > paths.shape[1]:
+        return
+    path = paths[lane.place_in_order, lane.count - 1]
     path.start = lane.time
     path.length = ending * s.h[j]
     for face in range(2):
@@ -451,7 +448,6 @@ def _go_on(s, j, ending, past, rows):
     which none can come; the fate of the row depends on it.
     """
     lane = s.lane[j]
-    ahead = nan
     # a step that an event cuts short does not reach a jump; where a record ends in the tail
     # (`End.RECORD`) no jump is left
     left = lane.next_jump - lane.time
@@ -460,40 +456,49 @@ def _go_on(s, j, ending, past, rows):
         # step n may err by 1/n: errors that all go one way add up to no more than a logarithm
         s.error[j] *= 1.0 - 1.0 / lane.count
     _move_on(s, j, ending)
+    _widen_scales(s, j)
     if lane.time + ending * s.h[j] > lane.time:
         lane.attempts = 0
     lane.time += ending * s.h[j]
     if at_jump:
         lane.time = lane.next_jump
+    ahead = nan
     if s.rigged and not lane.from_touch:
-        ahead = records.fly_on(s, j, past)
+        ahead = flights.fly_on(s, j, past)
     _propose(s, j, ending, at_jump, ahead)
+    crowded = False
     if at_jump and lane.time < lane.horizon:
-        _jump(s, j, rows)
-    lane.fate = _fate(s, j, ending, at_jump, ahead, past)
+        crowded = not _jump(s, j, rows)
+    # in the tail between infinite bars; in a rig whose gaps never close again; at a loss of contact
+    over = lane.ended_by == End.RECORD or ahead == inf
+    if over or (lane.ended_by == End.LOST and _over_at_loss(s, j, ending, past)):
+        lane.fate = OK
+    else:
+        lane.fate = _fate(s, j, at_jump, crowded)
+
+
+@compiled
+def _over_at_loss(s, j, ending, past):
+    """Whether the record of bars ends at a loss of contact: nothing larger can come behind it."""
+    if s.rigged or not s.stop_at_loss:
+        return False
+    records.note_loading(s, j, 0.0)
+    return records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past)
 
 
 @compiled(inline=True)
-def _fate(s, j, ending, at_jump, ahead, past):
-    """Status with which the row of a lane ends where it stands now, or `GOES_ON`: every rule by
-    which a record ends, and the room for it.
+def _fate(s, j, at_jump, crowded):
+    """Status with which a row ends where it stands now, or `GOES_ON`: at its horizon, once the
+    waves are steady, or for want of room.
     """
     lane = s.lane[j]
-    # in the tail between infinite bars; in a rig whose gaps never close again
-    if lane.ended_by == End.RECORD or ahead == inf:
-        return OK
-    # at a loss of contact between bars, behind which nothing larger can come
-    if lane.ended_by == End.LOST and s.stop_at_loss and not s.rigged:
-        records.note_loading(s, j, 0.0)
-        if records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past):
-            return OK
     if at_jump and lane.time >= lane.horizon:
-        if s.rigged and max(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+        if s.rigged and is_pressed(s, j):
             return tracked.STILL_PRESSED
         return OK
-    if lane.fate != GOES_ON:  # too many jumps under way
-        return lane.fate
-    # once the waves are steady, where nothing that is wanted can change any more
+    if crowded:
+        return tracked.CROWDED
+    # where nothing that is wanted can change any more
     may_end = s.rigged or lane.steady_level != tracked.CHANGING
     if may_end and not lane.from_touch and records.no_later_peak(s, j):
         return OK
@@ -516,29 +521,20 @@ def _move_on(s, j, ending):
     """The state at the end of a step, on the branch and with the contact that follow it."""
     lane = s.lane[j]
     s.u[0, j] = s.u[0, LANES + j] = s.u_at_end[j]
-    for m in range(j, PAIR, LANES):
-        s.x[0, m] = s.at[POINTS, m]
     lane.from_touch = 0
     lane.one_step_echo = 0
     if lane.ended_by == End.TOUCHED:
         lane.from_touch = 1
         lane.retouches += 1.0
     for m in range(j, PAIR, LANES):
+        s.x[0, m] = s.at[POINTS, m]
         if m == lane.side * LANES + j or s.mode == MASSLESS:  # both faces move alike
             if lane.ended_by == End.BRANCH:
                 switch(s, m)
             elif lane.ended_by in (End.LOST, End.TOUCHED):
                 s.x[0, m] = 0.0
-    if s.rigged:
-        for m in range(j, PAIR, LANES):
+        if s.rigged:
             s.free[0, m] = events.value_of(s.free, m, ending)
-            s.free_size[m] = max(s.free_size[m], abs(s.free[0, m]))
-            # what opens says nothing of the approaches
-            s.size[m] = max(s.size[m], s.x[0, m])
-    else:
-        s.size[j] = max(s.size[j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
-        s.size[LANES + j] = s.size[j]
-    s.u_size[j] = max(s.u_size[j], abs(s.u[0, j]))
     if lane.by_law:
         press_deeper(s, j)
     if not incoming.heard(lane, lane.first_echo):
@@ -546,9 +542,23 @@ def _move_on(s, j, ending):
             lane.x_first[face] = largest_approach(s, face * LANES + j)
 
 
+@compiled
+def _widen_scales(s, j):
+    """The scales by which errors are allowed: the largest values so far."""
+    s.u_size[j] = max(s.u_size[j], abs(s.u[0, j]))
+    if not s.rigged:
+        s.size[j] = max(s.size[j], max(abs(s.x[0, j]), abs(s.x[0, LANES + j])))
+        s.size[LANES + j] = s.size[j]
+        return
+    for m in range(j, PAIR, LANES):
+        s.free_size[m] = max(s.free_size[m], abs(s.free[0, m]))
+        # what opens says nothing of the approaches
+        s.size[m] = max(s.size[m], s.x[0, m])
+
+
 @compiled(inline=True)
 def _propose(s, j, ending, at_jump, ahead):
-    """How long the next step may be; ahead: `records.fly_on`, NaN while a face is pressed."""
+    """How long the next step may be; ahead: `flights.fly_on`, NaN while a face is pressed."""
     lane = s.lane[j]
     # what an echo cut short at a joint of its steps is tried again beyond it
     before = 0.0
@@ -566,12 +576,14 @@ def _propose(s, j, ending, at_jump, ahead):
 
 @compiled
 def _jump(s, j, rows):
-    """Go on from first touch, or from a jump of the waves, unless too many are under way."""
+    """Go on from first touch, or from a jump of the waves; whether there is room for those that
+    come back.
+    """
     lane = s.lane[j]
     lane.proposed *= GROWTH
     incoming.enter_piece(s, j, rows)
     if incoming.now(lane) >= rows.breaks[lane.number, -1] and lane.first_echo == inf:
         lane.steady_level = 0.0
-    if not incoming.reflect_break(s, j):
-        lane.fate = tracked.CROWDED
+    has_room = incoming.reflect_break(s, j)
     lane.next_jump = incoming.next_break(s, j, rows)
+    return has_room

@@ -233,14 +233,14 @@ LANE = np.dtype(
             "i8",
             (),
             # the row
-            "number",  # its number, -1 for an idle lane; enter, leave
+            "number",  # its number, -1 for an idle lane; enter, leave_if_done
             "place_in_order",  # its place among the rows asked for; march
             "count",  # steps taken; keep
             "attempts",  # steps tried since the time last rose; holds, go_on
-            "fate",  # status it leaves with, or -1; enter, holds, go_on, jump
+            "fate",  # status it leaves with, or -1; enter, holds, go_on
             # the step
             "from_touch",  # 1 where it starts from a touch; enter, move_on
-            "one_step_echo",  # 1: an echo is read from one step; enter, holds, move_on
+            "one_step_echo",  # 1: an echo is read from one step; enter, length_again, move_on
             "ended_by",  # what ends it, see End; choose, after_step
             "side",  # at which face; after_step
             # the faces: law, branch, and what stands at the pole
@@ -256,9 +256,9 @@ LANE = np.dtype(
             "pulse_end",  # t_c; end of the incident pulse; enter
             "first_echo",  # t_c; when the first echo is back; enter
             # the step
-            "time",  # t_c; where it starts; go_on
-            "proposed",  # t_c; what to try next; enter, try_step, holds, go_on, jump
-            "next_jump",  # t_c; next jump of the waves, or the end; enter, jump
+            "time",  # t_c; where it starts; go_on, leap
+            "proposed",  # t_c; what to try next; enter, try_length, holds, propose, jump
+            "next_jump",  # t_c; next jump of the waves, or the end; jump, leap
             # the waves
             "frequency",  # 1/t_c; of a half sine, 0 for a cubic piece; enter_piece
             "offset",  # t_c; where the piece of the pulse begins; enter_piece
@@ -296,12 +296,12 @@ LANE = np.dtype(
             "f8",
             2,
             # the row
-            "reflect",  # reflection coefficients of the far ends; enter
-            "trips",  # t_c; round trips, inf without echo; enter
+            "reflect",  # reflection coefficients of the far ends; set_up_face
+            "trips",  # t_c; round trips, inf without echo; set_up_face
             # what is followed
-            "touched",  # 1 once a face has touched; after_step
+            "touched",  # 1 once a face has touched; set_up_face, note_approaches
             "x_first",  # deepest before the first echo; move_on
-            "other",  # force of the other face at a face's peak; after_step
+            "other",  # force of the other face at a face's peak; note_approaches
             "carried",  # integrals of the squared forces; after_step
         ),
         ("cubic", "f8", 4),  # coefficients of the piece in powers of t; enter_piece
@@ -329,18 +329,18 @@ STATE = np.dtype(
             "inverse_mu",  # 1/mu, 0 without mass; enter
             # the step
             "error",  # error allowed in one step; enter, switch, go_on
-            "u_size",  # scale of u; enter, move_on
-            "wrong_allowed",  # impulse by which a root may be off; try_step
+            "u_size",  # scale of u; enter, widen_scales
+            "wrong_allowed",  # impulse by which a root may be off; allow_root
             "excess",  # impulse of `wrong` over what is allowed; shorten_to_roots
         ),
         *_fields(
             "f8",
             PAIR,
             # the step
-            "h",  # t_c; length of the trial step; try_step, read_echo
+            "h",  # t_c; length of the trial step; try_length, echo_steps
             "theta",  # share of the trial step that is taken; reach, choose, shorten_to_roots
-            "size",  # scale of x; enter, move_on
-            "free_size",  # scale of U; enter, move_on
+            "size",  # scale of x; set_up_face, widen_scales
+            "free_size",  # scale of U; set_up_face, widen_scales
             # the waves
             "returns",  # factor of an echo, twice R, 0 without echo; read_echo
             "negligible",  # Chebyshev terms of an echo that may be left out; read_echo
@@ -368,9 +368,9 @@ STATE = np.dtype(
             "half",  # 1/(2 y) there; expand
             "switched_at",  # t_c; when the branch was last found wrong; change_branch
             "switches",  # how often at that time; change_branch
-            "gives",  # zeta, 1 for a bar; enter
-            "lightness",  # 1/mu_i of a body that moves freely; enter
-            "there",  # 0 where nothing stands at the pole; enter
+            "gives",  # zeta, 1 for a bar; set_up_face
+            "lightness",  # 1/mu_i of a body that moves freely; set_up_face
+            "there",  # 0 where nothing stands at the pole; set_up_face
             "presses",  # 0 where nothing will press any more; energy_left
             "side_sign",  # +1 at A, -1 at B; march_rows
             # the series of the step, in powers of theta
@@ -388,9 +388,9 @@ STATE = np.dtype(
             "f8",
             (TERMS, PAIR),
             # the series of the step, in powers of theta
-            "x",  # approaches above the dents; go_on, expand
-            "u",  # speed of the sphere, in both columns; go_on, expand
-            "free",  # U_A, -U_B; go_on, expand
+            "x",  # approaches above the dents; set_up_face, move_on, expand
+            "u",  # speed of the sphere, in both columns; set_up_face, move_on, expand
+            "free",  # U_A, -U_B; set_up_face, move_on, expand
             "push",  # 2 f, -2 h; incident, fit_echoes
             "root",  # y; expand
             "force",  # expand
