@@ -163,10 +163,11 @@ def test_run_and_history_of_one_scene_share_a_folder(tmp_path: Path) -> None:
     assert main(["report", str(tmp_path / "out")]) == 0
     (tmp_path / "out" / "results.json").unlink()
     check_owner(tmp_path / "out", uqsphere.load_study(granite, ["seed=2"]))
-    (tmp_path / "mine.txt").touch()
+    (tmp_path / ".part-mine").mkdir(parents=True)
     for _ in range(2):
         records = str(studies / "lab_gauge_records.toml")
         assert main(["shpb", "records", records, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / ".part-mine").is_dir()
 
 
 def test_every_change_of_a_folder_is_found(folder: Path) -> None:

@@ -96,6 +96,23 @@ def test_links_lead_to_files_and_sections_that_are_there(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
+def test_what_stands_upright_has_its_name_and_unit(path: Path) -> None:
+    results = results_of(path)
+    html = page(results)
+    assert ("What the number rests on" in html) == bool(results.study.free)
+    assert ("margins rounded" in html) == bool(results.study.free)
+    for name, picture in pictures_of(results).items():
+        if name.startswith("density"):
+            assert picture.note == "probability density"
+        elif name.startswith("expansion"):
+            unit = re.search(r">model run( \[.+\])?<", picture.svg)
+            assert unit
+            assert f">predicted{unit[1] or ''}<" in picture.svg
+        elif name.startswith("fragility"):
+            assert ">probability of fracture<" in picture.svg
+
+
+@pytest.mark.parametrize("path", REPORTS, ids=lambda path: path.parent.name)
 def test_a_figure_has_a_text_of_what_it_shows(path: Path) -> None:
     results = results_of(path)
     texts = re.findall(r'<svg[^>]* aria-label="([^"]+)"', page(results))

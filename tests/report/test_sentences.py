@@ -290,6 +290,12 @@ def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -
     caveats.append(Caveat(code="synthetic tests", subject="limits.energy"))
     text = DecisionText(granite, decision(caveats=caveats, next=remedy))
     assert text.next == "Set limits.energy.rate_0, or test at the rate of the rig."
+    # without a free number it is told where its effect would stand
+    study = granite.study.model_copy(update={"free": None})
+    fixed = granite.model_copy(update={"study": study})
+    text = DecisionText(fixed, decision(use=None, caveats=caveats))
+    way = "for a number to use, and for what the loading rate makes of it."
+    assert text.sentence == f"Target: at most 1 %. Add [margins] {way}"
 
 
 #: a doubt that keeps its target in the whole range

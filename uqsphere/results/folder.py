@@ -118,8 +118,9 @@ def locked(folder: Path, owner: str) -> Iterator[None]:
         except Timeout:
             raise FolderError(f"{as_text(folder)} is in use by another run") from None
     try:
-        for left in folder.glob(f"{PART}*"):  # of a run that was killed
-            shutil.rmtree(left, ignore_errors=True)
+        if owner.startswith(_SCENE):
+            for left in folder.glob(f"{PART}*"):  # of a run that was killed
+                shutil.rmtree(left, ignore_errors=True)
         yield
     finally:
         with contextlib.suppress(OSError):
