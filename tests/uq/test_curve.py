@@ -125,7 +125,9 @@ def test_a_probability_inside_the_curve_is_not_said_to_be_outside() -> None:
     curve = np.repeat(np.array([1e-9, 1e-3, 0.5, 0.9998, 1.0, 1.0])[:, None], 8, axis=1)
     found = fragility(np.arange(1.0, 7.0), curve, (0.999999, 1e-12), samples=32)
     assert found.values[0.999999].reason == "256 samples at a value are too few to show it"
-    assert "it runs from 1e-09 to 1" in str(found.values[1e-12].reason)
+    assert "between 1 and 6 (SI) has this probability: it runs from 1e-07 % to 100 %" in str(
+        found.values[1e-12].reason
+    )
 
 
 def test_counts_that_cannot_show_a_probability_give_no_value() -> None:

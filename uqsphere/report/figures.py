@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uqsphere.errors import UsageError
-from uqsphere.quantities import display_unit, format_probability
+from uqsphere.quantities import display_unit
 from uqsphere.results.types import QuantityEntry, Results
 from uqsphere.uq import LEVEL_TEXT
 
-from .format import probability, small, title_of, with_unit
+from .format import probability, small, title_of, unexplained, with_unit
 from .fragility import curves_of, draw_fragility, planned_value
 from .pictures import (
     INK,
@@ -120,10 +120,9 @@ def pictures_of(results: Results) -> dict[str, Picture]:
     for number, (name, entry) in enumerate(quantities[:FIRST], 1):
         if entry.held_out:
             title = title_of(name)
-            left = format_probability(entry.expansion_error)
             text = (
                 f"{title} as predicted by polynomial chaos against model runs that it was not "
-                f"fitted to; {left} of the variance is not explained"
+                f"fitted to; {unexplained(entry)} of the variance is not explained"
             )
             figure = svg(
                 draw_expansion, results, name, size=(260.0, 210.0), edges=(56.0, 12.0, 8.0, 46.0)

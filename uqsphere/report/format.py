@@ -17,10 +17,12 @@ from uqsphere.quantities import (
     lookup,
     with_ends,
 )
-from uqsphere.results.types import Answer, Range
+from uqsphere.results.types import Answer, QuantityEntry, Range
 from uqsphere.units import UNITS
 
 DASH = "–"
+#: share of a variance that sums do not tell from none
+_ROUNDING = 1e-12
 #: a number with its interval
 Estimated = Answer | Range
 _UNITS = "|".join(map(re.escape, filter(None, chain.from_iterable(UNITS.values()))))
@@ -101,6 +103,14 @@ def probability(row: Estimated) -> str:
     if row.value is None and row.high is None:
         return DASH
     return format_probability_estimate(row.value, row.low, row.high)
+
+
+def unexplained(entry: QuantityEntry) -> str:
+    """The share of a quantity's variance that its expansion does not explain, as far as rounding
+    lets it be known.
+    """
+    share = entry.expansion_error or 0.0
+    return format_probability(share if share > _ROUNDING else 0.0, _ROUNDING)
 
 
 def plain_probability(row: Estimated) -> str:

@@ -11,13 +11,12 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from uqsphere.quantities import format_probability
 from uqsphere.results.folder import read_results, write_files
 from uqsphere.results.types import Results
 
 from . import sentences, tables
 from .figures import Picture, pictures_of
-from .format import capital, keep_units, meaning
+from .format import capital, keep_units, meaning, unexplained
 
 #: figures of the row below the decision
 FRONT: tuple[str, ...] = ("density-1", "density-2", "sobol")
@@ -75,7 +74,7 @@ def render(template: str, **variables: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    for filter in (_cell, _linked, _inline, capital, meaning, format_probability):
+    for filter in (_cell, _linked, _inline, capital, meaning, unexplained):
         environment.filters[filter.__name__.strip("_")] = filter
     html = environment.get_template(template).render(**variables)
     # texts only: the places of a path have blanks too

@@ -418,7 +418,9 @@ def drivers(results: Results) -> Iterator[PageTable]:
 
 
 def _points(change: float) -> str:
-    """A change in percentage points, to two digits."""
+    """A change in percentage points, to two digits; 0 where a probability is certain."""
+    if abs(change) < 1e-12:
+        return "0"
     return f"{change:+.2g}".replace("e-0", "e-")
 
 

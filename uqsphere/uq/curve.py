@@ -172,8 +172,8 @@ def _value(
         reason = f"{behind.min():.0f} samples at a value are too few to show it"
         if not pooled.min() < target < pooled.max():
             reason = (
-                f"no value between {grid[0]:.4g} and {grid[-1]:.4g} has this probability: "
-                f"it runs from {pooled[0]:.3g} to {pooled[-1]:.3g}"
+                f"no value between {grid[0]:.4g} and {grid[-1]:.4g} (SI) has this probability: "
+                f"it runs from {100.0 * pooled[0]:.3g} % to {100.0 * pooled[-1]:.3g} %"
             )
         return absent(reason, METHOD, evaluations)
     k = int(np.clip(np.searchsorted(places, centre), 1, grid.size - 1))
