@@ -283,15 +283,11 @@ def absent_in(scene: Scene, quantity: str) -> str:
         return "bars carry waves in both directions; see history"
     if rests_on("offered", "leaving", "parting_speed") and not rig.by_impact:
         return "this rig loads the sphere by a wave or slowly, not by impact"
-    if (
-        rests_on("carried_off")
-        and rig.by_impact
-        and loss_to_waves(scene) is None
-        and not any(map(_carries, scene.there))
-    ):
-        return "the counter-bodies radiate no waves (for a thick target, set its density)"
     if rests_on("parting", "touches", "contact", "duration", "carried_off") and rig.by_press:
         return "platens load slowly and stay in contact"
+    radiate = any(map(_carries, scene.there))
+    if rests_on("carried_off") and not radiate and loss_to_waves(scene) is None:
+        return "the counter-bodies radiate no waves (for a thick target, set its density)"
     timed = {"platens.speed", "platens.loading_rate"} & scene.columns.keys()
     if rests_on("rise") and rig.by_press and not timed:
         return 'the platens have no speed; set speed, for example "1 mm/min", or loading_rate'

@@ -55,6 +55,11 @@ from .tracked import (
 _SETTLED = 1e-8
 #: steps of Newton's method to a peak at most
 _STEPS_TO_PEAK = 4
+#: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
+NODES, WEIGHTS = (
+    0.5 * (array + shift)
+    for array, shift in zip(np.polynomial.legendre.leggauss(WAVE), (1.0, 0.0), strict=True)
+)
 #: kind of what is followed that is the rate of the approach of A; that of B is the next one
 RATE = KINDS
 
@@ -430,6 +435,21 @@ def _note_graze(s, j, face, ends):
 
 
 @compiled
+def _end_in_tail(s, j, ends):
+    """theta at which a step ends between infinite bars once the pulse is over: where the record
+    does, with both approaches below a share of the largest, if that comes first.
+    """
+    lane = s.lane[j]
+    lane.record_level = tail_level(s, j)
+    at = _both_below(s, j, lane.record_level, ends)
+    if at <= ends:
+        ends = at
+        lane.ended_by = End.RECORD
+        _end_sooner(s, j, ends)
+    return ends
+
+
+@compiled
 def _both_below(s, j, level, end):
     """First theta in [0, end] at which both approaches lie below `level`, or inf."""
     if higher(s.floor, j) >= level:
@@ -478,21 +498,9 @@ def after_step(s, j):
     if ends < s.theta[j]:
         _end_sooner(s, j, ends)
     _note_approaches(s, j, ends)
-    for kind in range(DIFFERENCE, KINDS):
-        if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
-            before = lane.peak[kind]
-            lane.peak[kind] = _highest(s, j, kind, ends, before)
-            # a difference behind the last largest force does not count
-            if kind > DIFFERENCE and lane.peak[kind] > before:
-                lane.retouches_at_value = lane.retouches
+    _note_largest(s, j, ends)
     if not s.rigged and lane.horizon == inf and lane.time >= lane.pulse_end:
-        # the record ends below a share of the largest approach
-        lane.record_level = tail_level(s, j)
-        at = _both_below(s, j, lane.record_level, ends)
-        if at <= ends:
-            ends = at
-            lane.ended_by = End.RECORD
-            _end_sooner(s, j, ends)
+        ends = _end_in_tail(s, j, ends)
     if lane.ended_by == End.LOST:
         _note_loss(s, j, ends)
     if s.wanted & tracked.WANT_AFTER:
@@ -517,7 +525,7 @@ def _note_approaches(s, j, ends):
         if not s.has_laws:  # faces that are alike share the largest approach so far
             lane.peak[1 - face] = lane.peak[face]
         # well above what is faint a face has touched, by half of the errors that may add up
-        if s.at[POINTS, m] > max(50.0 * s.error[j], 2.0 * s.requested) * s.size[m]:
+        if s.at[POINTS, m] > max(0.5 * ADDED_UP * s.error[j], 2.0 * s.requested) * s.size[m]:
             lane.touched[face] = 1.0
         if place >= 0.0:
             lane.retouches_at_value = lane.retouches
@@ -526,10 +534,17 @@ def _note_approaches(s, j, ends):
                 lane.retouches_at_peak = lane.retouches
 
 
-#: functions of both faces whose largest values are followed
-OF_BOTH = (
-    tracked.WANT_DIFFERENCE | tracked.WANT_ENERGY | tracked.WANT_SPHERE_ENERGY | tracked.WANT_MEAN
-)
+@compiled
+def _note_largest(s, j, ends):
+    """The largest values of functions of both faces so far."""
+    lane = s.lane[j]
+    for kind in range(DIFFERENCE, KINDS):
+        if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
+            before = lane.peak[kind]
+            lane.peak[kind] = _highest(s, j, kind, ends, before)
+            # a difference behind the last largest force does not count
+            if kind > DIFFERENCE and lane.peak[kind] > before:
+                lane.retouches_at_value = lane.retouches
 
 
 @compiled
@@ -549,13 +564,6 @@ def _bound(s, j, kind):
         below, _ = _both(s, j, kind, (s.floor[j], 0.0), top_b)
         return max(above, -below)
     return _both(s, j, kind, top_a, top_b)[0]
-
-
-#: Gauss points and weights of a step, exact to the power 23: further terms are below the tolerance
-NODES, WEIGHTS = (
-    0.5 * (array + shift)
-    for array, shift in zip(np.polynomial.legendre.leggauss(WAVE), (1.0, 0.0), strict=True)
-)
 
 
 @compiled

@@ -23,7 +23,7 @@ from math import inf
 
 from . import tracked
 from .compiled import compiled
-from .events import OF_BOTH, first_at, follows, highest_between, rise_of
+from .events import first_at, follows, highest_between, rise_of
 from .faces import largest_approach, largest_force, stored_energy
 from .flights import closing_rate, rate_error
 from .incoming import step_end
@@ -341,7 +341,7 @@ def no_later_peak(s, j):
     lane = s.lane[j]
     wanted = s.wanted
     slack = 1.0 + 0.1 * s.error[j]
-    if wanted & tracked.WANT_CONTACT or (lane.steady_level > 0.0 and wanted & OF_BOTH):
+    if wanted & tracked.WANT_CONTACT or (lane.steady_level > 0.0 and wanted & tracked.OF_BOTH):
         return False
     if s.rigged and wanted & (tracked.WANT_DURATION | tracked.WANT_AFTER):
         return False

@@ -2,14 +2,14 @@
 
 A new answer of a row needs
 
-    here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`;
-              a field of `ANSWER`; if it costs time a bit `WANT_` (and the length of theirs, and
+    here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`,
+              and its bit in `OF_BOTH`; a field of `ANSWER`; if it costs time a bit `WANT_` (and the length of theirs, and
               `WANT_ALL`), and an entry of `WISHES`;
               an entry of `_AT_START` unless it begins at zero
     records   its answer in `finish`; for a largest value `no_later_peak`, by which a record ends
               once it cannot grow
-    events    what follows it in `after_step`; for a largest value of both faces `_both`, `_bound`
-              and `OF_BOTH`
+    events    what follows it in `after_step`; for a largest value of both faces `_both` and
+              `_bound`
     outside   `closed_form` for scenes that it answers in place of the integrator; ``outputs.toml``
               and a formula in `outputs`, which reads it by its name (`answer_columns`), and
               `outputs.absent_in` for scenes without it
@@ -82,6 +82,8 @@ NEVER_CLOSES, STILL_PRESSED = 11, 12
 WANT_ALL = (1 << 9) - 1
 #: what reads all steps of a row again
 WHOLE_PATH = WANT_RISE | WANT_MOTION
+#: largest values of functions of both faces
+OF_BOTH = WANT_DIFFERENCE | WANT_ENERGY | WANT_SPHERE_ENERGY | WANT_MEAN
 #: what a loss of contact decides
 BY_LOSS = WANT_DURATION | WANT_CONTACT | WANT_DIFFERENCE
 
@@ -264,7 +266,7 @@ LANE = np.dtype(
             "offset",  # t_c; where the piece of the pulse begins; enter_piece
             "steady_level",  # f from now on for ever, or CHANGING; enter, jump
             # what is followed
-            "record_level",  # approach below which the record ends, 0: none; after_step
+            "record_level",  # approach below which the record ends, 0: none; end_in_tail
             "loss_level",  # approach below which a contact may be lost; set_loss_level
             "faint",  # error of an approach; set_loss_level
             "impulse",  # integral of the mean force; after_step
