@@ -128,6 +128,9 @@ class Measures(dict[str, Values]):
         (diameter,) = self.ahead("diameter")
         return 2.0 * self["a_max"] / diameter
 
+    def bar_yield_contact(self) -> Values:
+        return _over_onset(self["p_max"], self.partner.onset)
+
     def sphere_yield_contact(self) -> Values:
         return _over_onset(self["p_max"], self.sphere.onset)
 
@@ -139,8 +142,6 @@ class Measures(dict[str, Values]):
             hertz = contact.pressure_at_force(self["P_max"], partner.modulus, radius)
             ratios.append(_over_onset(hertz, partner.body.onset))
         return _extreme(np.fmax, ratios)
-
-    bar_yield_contact = face_yield
 
     def _partner_estimate(self) -> str:
         return self._static_estimate(self.partner)
