@@ -12,6 +12,7 @@ import pytest
 from uqsphere.cli import main
 from uqsphere.report.tables import columns
 from uqsphere.results import open_run
+from uqsphere.results.folder import damaged_files, owner_by_command, write_files
 
 STUDY = """
 title = "A product"
@@ -42,6 +43,21 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("s.toml").write_text(STUDY)
     Path("box.py").write_text(MODEL)
+
+
+def test_a_sweep_is_whole_with_its_points_and_a_lab_beside_other_files(tmp_path: Path) -> None:
+    point = tmp_path / "c-1"
+    write_files(tmp_path, {"sweep.csv": "c,use"}, owner_by_command("sweep", Path("s.toml")))
+    write_files(point, {"results.json": "{}"}, "scene 0")
+    assert damaged_files(tmp_path) == []
+    (point / "results.json").write_text("[]")
+    (point / "more.txt").touch()
+    assert damaged_files(tmp_path) == ["c-1/results.json", "c-1/more.txt (has no checksum)"]
+    write_files(tmp_path / "lab", {"plan.csv": "v,P"}, owner_by_command("shpb", Path("p.toml")))
+    (tmp_path / "lab" / "mine.txt").touch()
+    assert damaged_files(tmp_path / "lab") == []
+    (tmp_path / "lab" / "plan.csv").write_text("P,v")
+    assert damaged_files(tmp_path / "lab") == ["plan.csv"]
 
 
 @pytest.mark.slow

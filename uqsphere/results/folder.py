@@ -50,6 +50,8 @@ PART = ".part-"
 #: what the line of checksums begins with that has the owner, and `Study.scene`, which owns runs and
 #: histories
 _OWNER, _SCENE = "# ", "scene "
+#: what the owner of a sweep begins with
+_SWEEP = "uqsphere sweep,"
 _AGAIN = "Run the study again with --fresh"
 #: bytes of a results.json that is read
 LARGEST = 64 << 20
@@ -262,9 +264,10 @@ def _writer(content: bytes) -> str:
 
 def damaged_files(folder: Path) -> list[str]:
     """Files whose checksum differs from `SHA256SUMS`, that are missing, cannot be read, or have
-    none; empty where the folder is whole.
+    none; empty where the folder is whole.  Of a sweep, those of its points too.
 
-    The log and the cache of answers have no checksum here.  Raises FolderError without checksums.
+    The log and the cache of answers have no checksum here, nor what may stand beside the files of a
+    lab.  Raises FolderError without checksums.
     """
     sums = sums_of(folder)
     if not sums:
@@ -280,6 +283,12 @@ def damaged_files(folder: Path) -> list[str]:
             wrong.append(as_text(name))
         except AccessError as error:
             wrong.append(str(error))
+    owner = owner_of(folder)
+    if owner.startswith(_SWEEP):
+        for path in sorted(folder.glob(f"*/{SUMS}")):
+            wrong += [f"{path.parent.name}/{name}" for name in damaged_files(path.parent)]
+    if owner and not owner.startswith(_SCENE):
+        return wrong
     with _accessing(folder):
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder).as_posix()
