@@ -188,11 +188,15 @@ def test_an_interruption_is_told_in_one_line_wherever_it_comes(at: str) -> None:
     if at == "exit":
         words = ["list", "materials"]
     code = f"""
-import builtins, sys
+import builtins, os, signal, sys, time
 load = builtins.__import__
 def interrupted(name, *more, **named):
     if name == "uqsphere.study" == {at!r}:
-        raise ImportError("initialization failed") from KeyboardInterrupt()
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
     if name == {at!r}:
         exec("raise KeyboardInterrupt")
     return load(name, *more, **named)

@@ -38,6 +38,8 @@ EXIT_CODES = {
     7: "the executor was lost; the same command continues",
     130: "interrupted (143: terminated)",
 }
+#: Ctrl-C, of which a compiled module may make an error of its own, or nothing
+_PRESSED = Event()
 #: labs: companion tools with commands of their own, and a first command for each of their templates
 LABS = {
     "shpb": "lab: records of Hopkinson bars, contact laws, test plans",
@@ -61,6 +63,11 @@ def program() -> int:
     gc.set_threshold(1_000_000)  # imports make objects that stay: few are worth a search for cycles
     if not sys.warnoptions:  # NumPy's are for developers; ours are printed
         warnings.simplefilter("ignore")
+    if (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):  # not of a job that ignores it
+        signal.signal(signal.SIGINT, _press)
+    sys.unraisablehook = _tell_unraisable
     try:
         code = main(sys.argv[1:])
         sys.stdout.flush()
@@ -98,27 +105,34 @@ def main(argv: Sequence[str]) -> int:
     return _guarded(lambda: options.command(options) or 0)
 
 
+def _press(*_: object) -> NoReturn:
+    _PRESSED.set()
+    raise KeyboardInterrupt
+
+
+def _tell_unraisable(raised: "sys.UnraisableHookArgs") -> None:
+    if not _PRESSED.is_set():
+        sys.__unraisablehook__(raised)
+
+
 def _guarded(command: Callable[[], int]) -> int:
     try:
         return command()
-    except UqsphereError as error:
-        tell(error)
-        return error.exit_code
     except BrokenPipeError:
         raise
-    except MemoryError:
-        tell("out of memory: use -j 1, or lower analysis.budget.evaluations")
-        return 6
-    except OSError as error:
-        tell(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
-        return 6
     except (Exception, KeyboardInterrupt) as error:
-        cause: BaseException | None = error
-        while cause:
-            if isinstance(cause, KeyboardInterrupt):  # as "initialization failed" of a module
-                tell("interrupted")
-                return INTERRUPTED
-            cause = cause.__cause__ or cause.__context__
+        if _PRESSED.is_set() or isinstance(error, KeyboardInterrupt):
+            tell("interrupted")
+            return INTERRUPTED
+        if isinstance(error, UqsphereError):
+            tell(error)
+            return error.exit_code
+        if isinstance(error, MemoryError):
+            tell("out of memory: use -j 1, or lower analysis.budget.evaluations")
+            return 6
+        if isinstance(error, OSError):
+            tell(f"{error.filename or ''}: {error.strerror or error}".lstrip(": "))
+            return 6
         if os.environ.get("UQSPHERE_DEBUG"):
             raise
         tell(
@@ -271,19 +285,19 @@ def _width() -> int:
 @contextlib.contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
     """Whether the user has pressed Ctrl-C: once keeps what is complete, twice aborts."""
-    pressed = Event()
 
     def press(*_: object) -> None:
-        pressed.set()
+        _PRESSED.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         tell("\nStopping; completed model runs are kept. Press Ctrl-C again to abort.")
 
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, press)
     try:
-        yield pressed.is_set
+        yield _PRESSED.is_set
     finally:
         signal.signal(signal.SIGINT, before)
+        _PRESSED.clear()
 
 
 def _cluster(options: Namespace) -> Any:
