@@ -107,3 +107,27 @@ def test_twenty_inputs_are_looked_at_one_by_one_beyond_all_rows() -> None:
     sd = next(row for row in run.results.answers if row.answer.value == "sd")
     truth = all_truths()["Morris"]["sd"].value
     assert sd.low <= truth <= sd.high
+
+
+def test_what_all_folds_miss_beyond_all_rows_is_no_knowledge() -> None:
+    # they share the outermost rows: sd 2.322 (2.320 to 2.327), an index 0.804 (0.803 to 0.804)
+    variance = 6.0 - math.gamma(2.5) ** 2
+    study = Study(
+        inputs={"a": {"dist": "exponential", "mean": 1.0}, "b": NORMAL},
+        outputs="y",
+        analysis={"cost": "10 s", "budget": {"evaluations": 256, "time": "100 h"}},
+        seed=1,
+    )
+
+    def model(columns: Mapping[str, Array]) -> dict[str, Array]:
+        return {"y": columns["a"] ** 1.5 + 0.5 * math.sqrt(variance) * columns["b"]}
+
+    answers = {
+        (row.answer.value, row.at): row for row in uqsphere.run(study, model).results.answers
+    }
+    truths = {("sd", ""): math.sqrt(1.25 * variance)}
+    truths |= {(f"sobol_{order}", "a"): 0.8 for order in ("first", "total")}
+    for key, truth in truths.items():
+        row = answers[key]
+        assert row.low <= truth <= row.high, key
+        assert row.high - row.low < 0.25, key

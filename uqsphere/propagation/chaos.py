@@ -14,7 +14,7 @@ An expansion of ln y is taken where it leaves less than half as much: its varian
 and projected by its plain form.
 
 No row sees the variance that an expansion makes beyond all rows, such as a polynomial of high
-degree in a tail.  What it may miss there is part of every interval (`_beyond`).
+degree in a tail.  What it may miss there is part of every interval (`variance_beyond`).
 """
 
 import math
@@ -25,14 +25,15 @@ from itertools import combinations
 
 import numpy as np
 
-from uqsphere.arrays import Array, Flags, Values, bundle, special
+from uqsphere.arrays import Array, Flags, Values, bundle
 from uqsphere.uq import Estimate, Sample, from_replicates
-from uqsphere.uq.chaos.basis import germ_points, highest_degrees, rows_of
+from uqsphere.uq.chaos.basis import germ_points
+from uqsphere.uq.chaos.beyond import variance_beyond
 from uqsphere.uq.chaos.expansion import Chaos, Integrals
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
 from uqsphere.uq.estimate import ratio_of_means, spread, student
-from uqsphere.uq.response import GOOD, REJECTED, ROUNDING
+from uqsphere.uq.response import GOOD, REJECTED
 
 from .design import Design
 
@@ -45,8 +46,6 @@ MOST_TERMS = 2048
 #: and serve as control variate: what it leaves more than that costs the tails as much as it gains
 #: (granite, p_max against contact_duration)
 MOST_LEFT, CONTROL = 0.05, 1e-3
-#: points in the tail of an input, on either side
-TAIL_POINTS = 64
 METHOD = "polynomial chaos, corrected by rows"
 #: first and total index by input, and second ones by "input,input"
 Indices = Mapping[str, tuple[Estimate, ...]]
@@ -84,16 +83,11 @@ class Expansion:
 
     @property
     def moments(self) -> Integrals:
-        """Moments of the expansion, with errors that allow for what may be wrong beyond all rows:
-        the mean by no more than the share of the tails and its square allow (Cauchy and Schwarz).
+        """Moments of the expansion, with errors that allow for what may be wrong beyond all
+        rows.
         """
-        integrals = self.fit.integrals
-        sd = integrals.sd
-        mean, square = integrals.moment_errors
         tails = 2.0 * len(self.fit.germs) / self.residuals.size
-        mean += sd * (math.sqrt(self.beyond * tails) + ROUNDING)
-        square += sd**2 * (self.beyond + ROUNDING)
-        return replace(integrals, moment_errors=(mean, square))
+        return self.fit.integrals.allowing(self.beyond, tails)
 
 
 def expansions(
@@ -126,14 +120,23 @@ def expansions(
         wrong = _made_without_rows(fit, values, left)
         if not wrong < GOOD * CONTROL:
             continue
+        seen = points[1:, :few]
+        near = seen[:, :MOST_ROWS].reshape(-1, points.shape[2])
+        tails = variance_beyond(
+            fit,
+            near,
+            rest[:, :MOST_ROWS].ravel(),
+            reach=np.array([seen.min(axis=(0, 1)), seen.max(axis=(0, 1))]),
+            others=points[0],
+        )
         fits[name] = Expansion(
             fit=fit,
             values=values,
             residuals=rest,
             cross=np.vecdot(terms.reshape(-1, *rest.shape), rest).T / few,
-            explained=_explained(points[1:, :few], rest),
+            explained=_explained(seen, rest),
             left=left,
-            beyond=wrong + _beyond(design, fit, sample.scores, rest),
+            beyond=wrong + float(tails.sum()),
         )
     return fits
 
@@ -191,53 +194,6 @@ def _made_without_rows(fit: Chaos, values: Array, left: float) -> float:
         return 0.0
     doubt = math.sqrt(left)
     return float(missing * min(2.0 * doubt + doubt**2, 1.0))
-
-
-def _beyond(design: Design, fit: Chaos, scores: Array, residuals: Array) -> float:
-    """Share of the variance of an expansion that may be wrong beyond all rows, in the tails of
-    single inputs.
-
-    It is what the expansion misses there by its residuals at the rows, to which its terms in the
-    input and those up to two degrees above them are fitted: what is left out grows fastest where no
-    row lies.  What such polynomials miss is a deviation, of which the interval holds 95 %, and no
-    more than what the expansion itself moves by beyond the last row.
-
-    scores : (R, n, D) of the variables
-    residuals : (R-1, m) of the first rows of the last replicates
-    """
-    moments = fit.integrals
-    if not moments.sd > 0.0:
-        return 0.0
-    germs = fit.germs
-    few = residuals[:, :MOST_ROWS]
-    points = points_of(design, scores[1:, : few.shape[1]]).reshape(few.size, -1)
-    kept = fit.plain_form.multi_indices
-    highest = highest_degrees(germs, points, kept.max() + 2)
-    rows = scores[0, :TAIL_POINTS]
-    # parts of a tail that reach far into it, and the share of it that each stands for
-    parts = (np.arange(len(rows)) + 0.5) / len(rows)
-    shares = parts**2 / (parts**2).sum()
-    wrong = 0.0
-    for j in np.flatnonzero(kept.any(axis=0)):
-        step = np.eye(len(germs), dtype=int)[j]
-        own = kept[kept[:, j] > 0]
-        terms = np.concatenate([own, own + step, own + 2 * step])
-        terms = np.unique(terms[(terms <= highest).all(axis=1)], axis=0)
-        values = rows_of(germs, points, terms)
-        missed = np.linalg.lstsq(values @ values.T, values @ few.ravel())[0]
-        for side in (-1.0, 1.0):
-            last = (side * scores[1:, : residuals.shape[1], j]).max()
-            chance = float(special.ndtr(-last))
-            # beyond the last row, and at it
-            places = np.tile(rows, (2, 1, 1))
-            places[0, :, j] = -side * special.ndtri(chance * parts**3)
-            places[1, :, j] = side * last
-            ends = points_of(design, places)
-            beyond, at_last = fit.predict(ends) - moments.mean
-            error = student(math.inf) * np.abs(missed @ rows_of(germs, ends[0], terms))
-            error = np.minimum(error, np.abs(beyond - at_last))
-            wrong += chance * float(shares @ ((2.0 * np.abs(beyond) + error) * error))
-    return wrong / moments.sd**2
 
 
 def _left(outputs: Array, values: Array) -> float:

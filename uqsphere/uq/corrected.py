@@ -46,7 +46,7 @@ from .estimate import (
     student,
     takes_few_values,
 )
-from .response import FOLDS, METHOD, ROUNDING, Response, unseen
+from .response import FOLDS, METHOD, Response, unseen
 
 #: residuals at which a change of sides is computed, and values of the output at which the
 #: distribution function is: its steps are part of a quantile's interval, and 1 in 2,048 is as wide
@@ -95,13 +95,15 @@ class Corrected:
         table = replicates.reshape(-1, FOLDS).mean(axis=0)
         if any(fold.reach for fold in self.response.folds):
             return table, half
-        integrals = self.response.integrals
+        response = self.response
+        tails = 2.0 * len(response.germs) / response.count
+        beyond = float(np.linalg.norm(response.beyond))
+        integrals = [each.allowing(beyond, tails) for each in response.integrals]
         values = np.array([each.mean - centre for each in integrals])
         if power == 2:
             values = values**2 + [each.sd**2 for each in integrals]
         # all of them are integrated at the same points
         error = float(np.mean([each.moment_errors[power - 1] for each in integrals]))
-        error += ROUNDING * float(self.response.outputs.std()) ** power
         if error < half:
             return values, error
         return table, half
@@ -348,6 +350,8 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     influences = (rows.top - values[:, :, None] * rows.bottom) / whole
     reach = np.apply_along_axis(distances, 2, influences)
     further = np.hypot(np.hypot(fold_spread(rows.shares), error), rows.rounding)
+    if folds:
+        further = np.hypot(further, _of_tails(response.beyond, np.median(rows.shares, axis=0)))
     reach = np.hypot(reach, further[:, :, None])
     lows = np.clip(values + least - reach[:, :, 0], 0.0, 1.0)
     highs = np.clip(values + most + reach[:, :, 1], 0.0, 1.0)
@@ -383,6 +387,20 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
             for value, low, high in ends
         ]
     return orders
+
+
+def _of_tails(beyond: Values, shares: Array) -> Array:
+    """What first and total indices, `shares` (2, d), may be off by where shares (d,) of the
+    variance may be wrong in the tails of single inputs.
+
+    What is wrong in the tail of its own input is all in a total index, and any part of it in a
+    first one; that of the others is any part of a total index, and none of a first one.
+    """
+    others = np.sqrt(np.maximum((beyond**2).sum() - beyond**2, 0.0))
+    any_part = np.maximum(shares, 1.0 - shares)
+    first = np.hypot(any_part[0] * beyond, shares[0] * others)
+    total = np.hypot((1.0 - shares[1]) * beyond, any_part[1] * others)
+    return np.stack([first, total])
 
 
 @bundle

@@ -24,10 +24,11 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo, Places, bundle
+from uqsphere.arrays import Array, Duo, Places, Values, bundle
 
 from .chaos.basis import Germs, score_of
-from .chaos.expansion import Chaos, Integrals, law_points
+from .chaos.beyond import variance_beyond
+from .chaos.expansion import ROUNDING, Chaos, Integrals, law_points
 from .chaos.fit import constant_fit, fit_chaos, folds_of
 from .estimate import count_bound, distances, mean_and_sd, student
 
@@ -46,8 +47,6 @@ REJECTED = 0.99
 LOOKED = 1024
 #: standard deviation of a fold without a finite variance
 LARGEST_SD = 1e150
-#: share of a variance that expansions of an exact polynomial differ by
-ROUNDING = 1e-9
 
 
 def unseen(runs: int) -> str:
@@ -133,6 +132,24 @@ class Response:
     def integrals(self) -> tuple[Integrals, ...]:
         """Moments and indices of the expansion of every fold."""
         return tuple(fold.fit.integrals for fold in self.folds)
+
+    @cached_property
+    def beyond(self) -> Values:
+        """Shares (d,) of the variance that may be wrong beyond all rows, by the tails of each
+        input: of the folds whose coefficients count the median, as values of moments are.  They
+        share most of their rows, and may run away together.  Tails are independent, so that their
+        squares add up.
+        """
+        points = self.points
+        reach = np.array([points.min(axis=0), points.max(axis=0)])
+        wrong = []
+        for k in self.trusted:
+            fit = self.folds[k].fit
+            left = self.outputs - fit.predict(points)
+            wrong.append(variance_beyond(fit, points, left, reach=reach, others=points))
+        if not wrong:
+            return np.zeros(len(self.germs))
+        return np.asarray(np.linalg.norm(np.median(wrong, axis=0), axis=0))
 
     @cached_property
     def variance_ends(self) -> Duo:

@@ -7,6 +7,7 @@ by lies far out: there are more points there than the law has (`_where_large`).
 
 import math
 from collections import defaultdict
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,6 +43,8 @@ PLAIN = 240
 #: randomisations of the pairs that integrate ln y, and the base points of each; `Integrals.error`
 #: is what they leave
 PAIRS_REPLICATES, PAIRS = 8, 256
+#: share of a variance that expansions of an exact polynomial differ by
+ROUNDING = 1e-9
 
 
 class ChaospyObjects(NamedTuple):
@@ -70,6 +73,16 @@ class Integrals:
     shares: Array
     error: float = 0.0
     moment_errors: Duo = (0.0, 0.0)
+
+    def allowing(self, beyond: float, tails: float) -> "Integrals":
+        """The same with errors of the moments that allow for rounding, and for a share of the
+        variance that may be wrong in tails of this probability: the mean by no more than their
+        product allows (Cauchy and Schwarz).
+        """
+        mean, variance = self.moment_errors
+        mean += self.sd * (math.sqrt(beyond * tails) + ROUNDING)
+        variance += self.sd**2 * (beyond + ROUNDING)
+        return replace(self, moment_errors=(mean, variance))
 
 
 @bundle
