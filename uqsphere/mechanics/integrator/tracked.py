@@ -3,9 +3,9 @@
 A new answer of a row needs
 
     here      a field of `LANE` to follow it by, or, for a largest value, a number before `KINDS`,
-              and its bit in `OF_BOTH`; a field of `ANSWER`; if it costs time a bit `WANT_` (and the length of theirs, and
-              `WANT_ALL`), and an entry of `WISHES`;
-              an entry of `_AT_START` unless it begins at zero
+              and its bit in `OF_BOTH`; a field of `ANSWER`; if it costs time a bit `WANT_` (and the
+              length of theirs, and `WANT_ALL`), and an entry of `WISHES`; an entry of `_AT_START`
+              unless it begins at zero
     records   its answer in `finish`; for a largest value `no_later_peak`, by which a record ends
               once it cannot grow
     events    what follows it in `after_step`; for a largest value of both faces `_both` and
