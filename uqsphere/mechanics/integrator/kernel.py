@@ -18,7 +18,7 @@ lane one step:
     go on     the next state (`_move_on`), the round trips of a rig in which nothing happens
               (`flights`), the next length (`_propose`) and jump of the waves (`_jump`)
     end       whether the record ends there (`_over_at_loss`, `_fate`): then the lane leaves
-              (`_leave_if_done`) with its answers (`records.finish`)
+              (`_leave`) with its answers (`records.finish`)
 
 Names that mean the same everywhere: `s`, all lanes (`tracked.STATE`); `j`, the number of a lane,
 and `lane`, what it knows (`tracked.LANE`); `face`, 0 at A and 1 at B, and `m`, its column in the
@@ -98,16 +98,19 @@ def march(rows, order, state, past, paths, out):
     live = 0
     while True:
         for j in range(LANES if live < LANES else 0):
-            while s.lane[j].number < 0 and taken < len(order):
+            lane = s.lane[j]
+            while lane.number < 0 and taken < len(order):
                 _enter(s, j, order[taken], rows)
-                s.lane[j].place_in_order = taken
+                lane.place_in_order = taken
                 taken += 1
-                _leave_if_done(s, j, past, out)
+                if lane.fate != GOES_ON:
+                    _leave(s, j, past, out)
         _waves(s, past)
         _series(s)
         live = 0
         for j in range(LANES):
-            if s.lane[j].number < 0:
+            lane = s.lane[j]
+            if lane.number < 0:
                 continue
             if _holds(s, j):
                 ending = events.after_step(s, j)
@@ -115,18 +118,17 @@ def march(rows, order, state, past, paths, out):
                 if s.wanted & tracked.WANT_MOTION:
                     _give_out(s, j, ending, paths)
                 _go_on(s, j, ending, past, rows)
-            _leave_if_done(s, j, past, out)
-            live += s.lane[j].number >= 0
+            if lane.fate != GOES_ON:
+                _leave(s, j, past, out)
+            live += lane.number >= 0
         if live == 0 and taken >= len(order):
             break
 
 
 @compiled
-def _leave_if_done(s, j, past, out):
+def _leave(s, j, past, out):
     """Free the lane of a row that goes on no more: its status, and its answers if it has any."""
     lane = s.lane[j]
-    if lane.fate == GOES_ON:
-        return
     answer = out[lane.number]
     answer.status = lane.fate
     lane.number = -1
@@ -287,7 +289,7 @@ def _choose(s, j):
     s.theta[j] = s.theta[LANES + j] = theta
 
 
-@compiled
+@compiled(inline=True)
 def _allow_root(s, j):
     """The impulse by which a step may err because the series of its root has parted from the
     root.
@@ -337,7 +339,7 @@ def _holds(s, j):
     return False
 
 
-@compiled
+@compiled(inline=True)
 def _length_again(s, j):
     """The length with which a step whose series do not hold is tried again; inf where they do."""
     lane = s.lane[j]
@@ -542,7 +544,7 @@ def _move_on(s, j, ending):
             lane.x_first[face] = largest_approach(s, face * LANES + j)
 
 
-@compiled
+@compiled(inline=True)
 def _widen_scales(s, j):
     """The scales by which errors are allowed: the largest values so far."""
     s.u_size[j] = max(s.u_size[j], abs(s.u[0, j]))

@@ -235,7 +235,7 @@ LANE = np.dtype(
             "i8",
             (),
             # the row
-            "number",  # its number, -1 for an idle lane; enter, leave_if_done
+            "number",  # its number, -1 for an idle lane; enter, leave
             "place_in_order",  # its place among the rows asked for; march
             "count",  # steps taken; keep
             "attempts",  # steps tried since the time last rose; holds, go_on
