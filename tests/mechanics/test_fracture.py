@@ -255,6 +255,30 @@ def test_a_run_of_the_linear_model_tells_the_force_at_which_its_spheres_break(
     assert all(6400.0 <= force <= 6500.0 for force in forces)
 
 
+def test_a_sphere_whose_numbers_are_all_fixed_breaks_by_its_strengths(tmp_path: Path) -> None:
+    text = """
+        sphere = { E = "60 GPa", nu = 0.25, radius = "8 mm", density = "2600 kg/m3" }
+        rig = { kind = "impact", speed = "3 m/s" }
+        target = { kind = "thick", material = "steel" }
+        contact.law = "hertz"
+        limits.pressure = { quantity = "p_max", aim = "survive", strength = {
+            dist = "lognormal", mean = "2.5 GPa", cov = 0.2 } }
+        limits.core = { quantity = "core_tension", aim = "survive", strength = {
+            dist = "lognormal", mean = "24 MPa", cov = 0.2 } }
+        """
+    study = load_study(tmp_path / "study.toml", text=text.replace("= {\n            ", "= { "))
+    results = uqsphere.run(study).results
+    [broken] = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
+    each = [
+        results.get(f"limits.{name}", Kind.EXCEEDANCE_PROBABILITY).value or 0.0
+        for name in ("pressure", "core")
+    ]
+    assert broken.value == pytest.approx(1.0 - (1.0 - each[0]) * (1.0 - each[1]), rel=1e-9)
+    shares = [row.value for row in results.where("fracture", Kind.MODE_SHARE)]
+    assert sum(share or 0.0 for share in shares) == pytest.approx(1.0)
+    assert all(row.value for row in results.where("fracture", Kind.TIME_AT_FRACTURE))
+
+
 def test_a_run_without_a_motion_tells_what_breaks_and_not_when(tmp_path: Path) -> None:
     text = """
         sphere = { E = "60 GPa", nu = 0.25, radius = "8 mm", density = "2600 kg/m3" }

@@ -249,7 +249,7 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     """
     design = tables.design
     limits = _each_once(design.fracture)
-    if len(limits) < 2 or design.study.black_box or not design.variables:
+    if len(limits) < 2 or design.study.black_box:
         return
     sample = tables.sample.head(SPHERES)
     generator = design.generator("fracture")
