@@ -130,4 +130,4 @@ def test_what_all_folds_miss_beyond_all_rows_is_no_knowledge() -> None:
     for key, truth in truths.items():
         row = answers[key]
         assert row.low <= truth <= row.high, key
-        assert row.high - row.low < 0.25, key
+        assert row.high - row.low < 0.35, key

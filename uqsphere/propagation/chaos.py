@@ -14,7 +14,7 @@ An expansion of ln y is taken where it leaves less than half as much: its varian
 and projected by its plain form.
 
 No row sees the variance that an expansion makes beyond all rows, such as a polynomial of high
-degree in a tail.  What it may miss there is part of every interval (`variance_beyond`).
+degree in a tail.  What it may miss there is part of every interval (`moments_beyond`).
 """
 
 import math
@@ -28,7 +28,7 @@ import numpy as np
 from uqsphere.arrays import Array, Flags, Values, bundle
 from uqsphere.uq import Estimate, Sample, from_replicates
 from uqsphere.uq.chaos.basis import germ_points
-from uqsphere.uq.chaos.beyond import variance_beyond
+from uqsphere.uq.chaos.beyond import moments_beyond
 from uqsphere.uq.chaos.expansion import Chaos, Integrals
 from uqsphere.uq.chaos.fit import fit_chaos
 from uqsphere.uq.corrected import block_parts
@@ -83,11 +83,11 @@ class Expansion:
 
     @property
     def moments(self) -> Integrals:
-        """Moments of the expansion, with errors that allow for what may be wrong beyond all
-        rows.
+        """Moments of the expansion, with errors that allow for what may be wrong beyond all rows:
+        the mean by no more than the share of the tails and its square allow (Cauchy and Schwarz).
         """
         tails = 2.0 * len(self.fit.germs) / self.residuals.size
-        return self.fit.integrals.allowing(self.beyond, tails)
+        return self.fit.integrals.allowing(math.sqrt(self.beyond * tails), self.beyond)
 
 
 def expansions(
@@ -122,7 +122,7 @@ def expansions(
             continue
         seen = points[1:, :few]
         near = seen[:, :MOST_ROWS].reshape(-1, points.shape[2])
-        tails = variance_beyond(
+        _, tails = moments_beyond(
             fit,
             near,
             rest[:, :MOST_ROWS].ravel(),

@@ -96,17 +96,21 @@ class Corrected:
         if any(fold.reach for fold in self.response.folds):
             return table, half
         response = self.response
-        tails = 2.0 * len(response.germs) / response.count
-        beyond = float(np.linalg.norm(response.beyond))
-        integrals = [each.allowing(beyond, tails) for each in response.integrals]
+        beyond = np.linalg.norm(response.beyond, axis=1).tolist()
+        integrals = response.integrals
         values = np.array([each.mean - centre for each in integrals])
         if power == 2:
             values = values**2 + [each.sd**2 for each in integrals]
         # all of them are integrated at the same points
-        error = float(np.mean([each.moment_errors[power - 1] for each in integrals]))
+        errors = [
+            (each.moment_errors[power - 1], each.allowing(*beyond).moment_errors[power - 1])
+            for each in integrals
+        ]
+        error, allowed = np.mean(errors, axis=0).tolist()
         if error < half:
-            return values, error
-        return table, half
+            return values, allowed
+        # points of the table lie beyond all rows as well
+        return table, half + allowed - error
 
     def mean(self) -> Estimate:
         """The mean by (1)."""
@@ -351,7 +355,7 @@ def indices_of(response: Response) -> dict[str, list[Estimate]]:
     reach = np.apply_along_axis(distances, 2, influences)
     further = np.hypot(np.hypot(fold_spread(rows.shares), error), rows.rounding)
     if folds:
-        further = np.hypot(further, _of_tails(response.beyond, np.median(rows.shares, axis=0)))
+        further = np.hypot(further, _of_tails(response.beyond[1], np.median(rows.shares, axis=0)))
     reach = np.hypot(reach, further[:, :, None])
     lows = np.clip(values + least - reach[:, :, 0], 0.0, 1.0)
     highs = np.clip(values + most + reach[:, :, 1], 0.0, 1.0)

@@ -24,10 +24,10 @@ from functools import cached_property
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo, Places, Values, bundle
+from uqsphere.arrays import Array, Duo, Places, bundle
 
 from .chaos.basis import Germs, score_of
-from .chaos.beyond import variance_beyond
+from .chaos.beyond import moments_beyond
 from .chaos.expansion import ROUNDING, Chaos, Integrals, law_points
 from .chaos.fit import constant_fit, fit_chaos, folds_of
 from .estimate import count_bound, distances, mean_and_sd, student
@@ -134,9 +134,10 @@ class Response:
         return tuple(fold.fit.integrals for fold in self.folds)
 
     @cached_property
-    def beyond(self) -> Values:
-        """Shares (d,) of the variance that may be wrong beyond all rows, by the tails of each
-        input: of the folds whose coefficients count the median, as values of moments are.  They
+    def beyond(self) -> Array:
+        """What may be wrong of mean and variance beyond all rows, (2, d) as `moments_beyond` has
+        it, by the tails of each input: of the folds whose coefficients count the median, as values
+        of moments are.  They
         share most of their rows, and may run away together.  Tails are independent, so that their
         squares add up.
         """
@@ -146,10 +147,10 @@ class Response:
         for k in self.trusted:
             fit = self.folds[k].fit
             left = self.outputs - fit.predict(points)
-            wrong.append(variance_beyond(fit, points, left, reach=reach, others=points))
+            wrong.append(moments_beyond(fit, points, left, reach=reach, others=points))
         if not wrong:
-            return np.zeros(len(self.germs))
-        return np.asarray(np.linalg.norm(np.median(wrong, axis=0), axis=0))
+            return np.zeros((2, len(self.germs)))
+        return np.asarray(np.linalg.norm(np.median(wrong, axis=0), axis=1))
 
     @cached_property
     def variance_ends(self) -> Duo:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from uqsphere.arrays import Array, Values, special
+from uqsphere.arrays import Array, special
 
 from ..estimate import student
 from .basis import GermLike, base_of, highest_degrees, rows_of
@@ -19,11 +19,11 @@ from .expansion import Chaos
 POINTS = 64
 
 
-def variance_beyond(
+def moments_beyond(
     fit: Chaos, points: Array, residuals: Array, *, reach: Array, others: Array
-) -> Values:
-    """Shares (2, d) of the variance of an expansion that may be wrong beyond all rows, in the lower
-    and the upper tail of each input.
+) -> Array:
+    """What may be wrong of the mean of an expansion beyond all rows, over its standard deviation,
+    and of its variance, over this: (2, 2, d), in the lower and the upper tail of each input.
 
     What the expansion misses there is a deviation, of which this holds 95 %, and no more than what
     it moves by itself beyond the last row.
@@ -37,7 +37,7 @@ def variance_beyond(
     """
     moments = fit.integrals
     germs = fit.germs
-    wrong = np.zeros((2, len(germs)))
+    wrong = np.zeros((2, 2, len(germs)))
     if not moments.sd > 0.0:
         return wrong
     kept = fit.multi_indices
@@ -63,8 +63,10 @@ def variance_beyond(
             beyond, at_last = fit.predict(ends) - moments.mean
             error = student(math.inf) * np.abs(missed @ rows_of(germs, ends[0], terms))
             error = np.minimum(error, np.abs(beyond - at_last))
-            wrong[k, j] = chance * shares @ ((2.0 * np.abs(beyond) + error) * error)
-    return wrong / moments.sd**2
+            squares = (2.0 * np.abs(beyond) + error) * error
+            parts_wrong = error / moments.sd, squares / moments.sd**2
+            wrong[:, k, j] = chance * (np.array(parts_wrong) @ shares)
+    return wrong
 
 
 def _tail(germ: GermLike, last: float, shares: Array) -> tuple[float, Array]:

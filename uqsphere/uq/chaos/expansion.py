@@ -74,14 +74,13 @@ class Integrals:
     error: float = 0.0
     moment_errors: Duo = (0.0, 0.0)
 
-    def allowing(self, beyond: float, tails: float) -> "Integrals":
-        """The same with errors of the moments that allow for rounding, and for a share of the
-        variance that may be wrong in tails of this probability: the mean by no more than their
-        product allows (Cauchy and Schwarz).
+    def allowing(self, of_mean: float, of_variance: float) -> "Integrals":
+        """The same with errors of the moments that allow for rounding, and for what else may be
+        wrong: of the mean over the standard deviation, and of the variance over this.
         """
         mean, variance = self.moment_errors
-        mean += self.sd * (math.sqrt(beyond * tails) + ROUNDING)
-        variance += self.sd**2 * (beyond + ROUNDING)
+        mean += self.sd * (of_mean + ROUNDING)
+        variance += self.sd**2 * (of_variance + ROUNDING)
         return replace(self, moment_errors=(mean, variance))
 
 
