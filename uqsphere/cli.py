@@ -63,9 +63,8 @@ def program() -> int:
     gc.set_threshold(1_000_000)  # imports make objects that stay: few are worth a search for cycles
     if not sys.warnoptions:  # NumPy's are for developers; ours are printed
         warnings.simplefilter("ignore")
-    if (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    ):  # not of a job that ignores it
+    # not of a job that ignores it
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _press)
     sys.unraisablehook = _tell_unraisable
     try:

@@ -5,8 +5,11 @@ its kind.  A cell is one model, one size and one seed, run through `uqsphere.run
 so many model runs, or as a cheap one.  Truths are closed forms where a model has them, and else 16
 scrambled Sobol' samples of 2^16 rows, whose spread is allowed for three times.
 
-    python -m tests.campaigns.zoo [MODEL...] [--sizes 64 256] [--seeds 10] [--cheap] [--truths]
+    python -m tests.campaigns.zoo [MODEL...] [--sizes 64 256] [--seeds 10] [--cheap] [--random]
+        [--truths]
 
+`--random` analyses independent random rows (`uqsphere.analyse`) in place of a run's own, which fill
+the space evenly: intervals are those of random rows, since one design cannot tell what it gains.
 Printed for each kind of answer, and for each model: the share of the intervals that hold, the
 median half-width (of moments and quantiles over the standard deviation, of probabilities over the
 truth), and the share of the answers that are absent.  `--truths` computes the truths anew.
@@ -25,6 +28,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -32,7 +36,7 @@ import uqsphere
 from tests.campaigns import chaos, options, table, tell
 from uqsphere import Study
 from uqsphere.arrays import Array
-from uqsphere.errors import TooManyFailures
+from uqsphere.errors import TooManyFailures, UsageError
 
 TRUTHS: Final = Path(__file__).with_name("zoo.json")
 #: replicates of a truth, their rows, and the base points of their indices
@@ -686,10 +690,23 @@ class Hit(NamedTuple):
     width: float
 
 
-def cell(model: ZooModel, truths: Mapping[str, Truth], size: int, seed: int) -> list[Hit]:
-    """The answers of one run: a slow model of `size` model runs, or a cheap one."""
+def analysed(model: ZooModel, study: Study, size: int) -> uqsphere.Run:
+    """The analysis of `size` independent random rows."""
+    joint = study.inputs()
+    rng = np.random.default_rng((study.seed, size))
+    columns = joint.physical(rng.standard_normal((size, len(joint.names)))).T
+    rows = dict(zip(joint.names, columns, strict=True))
+    return uqsphere.analyse(study, pd.DataFrame({**rows, "y": model.function(rows)}))
+
+
+def cell(
+    model: ZooModel, truths: Mapping[str, Truth], size: int, seed: int, *, random: bool = False
+) -> list[Hit]:
+    """The answers of one run: a slow model of `size` model runs, or a cheap one; or of so many
+    random rows.
+    """
     analysis: dict[str, Any] = {}
-    if size != CHEAP:
+    if size != CHEAP and not random:
         analysis = {"cost": "10 s", "budget": {"evaluations": size, "time": "100 h"}}
     limits = {
         f"p{p:g}".replace(".", "_"): {
@@ -704,8 +721,12 @@ def cell(model: ZooModel, truths: Mapping[str, Truth], size: int, seed: int) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            answers = uqsphere.run(study, lambda x: {"y": model.function(x)}).results.answers
-        except TooManyFailures as refused:
+            if random:
+                run = analysed(model, study, size)
+            else:
+                run = uqsphere.run(study, lambda x: {"y": model.function(x)})
+            answers = run.results.answers
+        except (TooManyFailures, UsageError) as refused:
             tell(f"  {model.name}, {size} runs, seed {seed}: {refused}")
             answers = []
     rows = {(row.subject, row.answer.value, row.at): row for row in answers}
@@ -788,6 +809,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         seeds=10,
         first=1,
         cheap=False,
+        random=False,
         truths=False,
     )
     names = given.words or [*MODELS]
@@ -800,7 +822,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         began = time.process_time()
         for size in sizes:
             for seed in range(given.first, given.first + given.seeds):
-                hits += cell(MODELS[name], truths[name], size, seed)
+                hits += cell(MODELS[name], truths[name], size, seed, random=given.random)
         cost = (time.process_time() - began) / (len(sizes) * given.seeds)
         tell(f"{name}: {cost:.2f} CPU s a run")
     print(tables_text(hits))

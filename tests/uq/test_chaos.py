@@ -335,7 +335,8 @@ def test_an_expansion_that_runs_away_does_not_take_the_variance(seed: int) -> No
     response = zoo_response("kink", 256, seed)
     found = indices_of(response)["first"][1]
     assert found.low - 0.01 <= 0.18904 <= found.high + 0.01
-    assert found.high - found.low < 0.2
+    assert found.value == pytest.approx(0.18904, abs=0.05)
+    assert found.high - found.low < 0.4
     sds = [response.integrals[k].sd for k in response.trusted]
     assert max(sds) < 1.5 * response.outputs.std()
 

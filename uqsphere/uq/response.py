@@ -13,9 +13,8 @@ their residuals.
 
 The exponential of a polynomial, and polynomials of an unbounded law of an input's own, grow faster
 where no row lies than Hermite polynomials of normal scores do.  Where a fold is contradicted, or
-more than `GOOD` of the variance is left, the output itself is expanded in the scores as well.  This
-is kept if fewer folds are contradicted, or in the second case no more, and no more is left of the
-variance; it may be more where no coefficients could be trusted before.
+more than `GOOD` of the variance is left at the rows or may be wrong beyond them, the output itself
+is expanded in the scores as well, and the response that misses less is kept.
 """
 
 import math
@@ -152,6 +151,15 @@ class Response:
             return np.zeros((2, len(self.germs)))
         return np.asarray(np.linalg.norm(np.median(wrong, axis=0), axis=1))
 
+    @property
+    def missing(self) -> float:
+        """Share of the variance that is left at the rows, or may be wrong beyond them; infinite
+        where the coefficients of no fold count.
+        """
+        if not self.trusted:
+            return math.inf
+        return self.error + float(np.linalg.norm(self.beyond))
+
     @cached_property
     def variance_ends(self) -> Duo:
         """The 99 % interval of the variance by the rows, for all folds together: they share most of
@@ -236,13 +244,10 @@ def cross_fit(
         if independent:
             response = _bounded(response)
             logs = any(fold.fit.log for fold in response.folds)
-            doubtful = len(response.trusted) < FOLDS or response.error > GOOD
+            doubtful = len(response.trusted) < FOLDS or response.missing > GOOD
             if doubtful and (logs or scores != germs):
                 calmer = _bounded(_fitted(points, y, scores, True))
-                more = len(calmer.trusted) - len(response.trusted)
-                better = calmer.error <= response.error or (calmer.usable and not response.trusted)
-                if better and (more > 0 or (more == 0 and response.error > GOOD)):
-                    response = calmer
+                response = min(response, calmer, key=lambda each: each.missing)
         responses.append(response)
     return responses
 
