@@ -19,11 +19,11 @@ from uqsphere.study import VALUES, Limit, Study
 from uqsphere.uq import Estimate
 from uqsphere.uq.curve import Fragility
 from uqsphere.uq.curve import fragility as fragility_of
-from uqsphere.uq.estimate import REPLICATES, absent, carriers, lost_share
+from uqsphere.uq.estimate import REPLICATES, absent, carriers, count_bound, lost_share
 
 from .design import Design
 from .line import Line, evaluated_at, exceedance, line_of
-from .tables import Tables
+from .tables import TOO_FEW, Tables, too_few
 
 METHOD = "the same points at every value"
 
@@ -61,8 +61,36 @@ def fragility(tables: Tables) -> Rows:
 
 def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fragility:
     """The curve of a limit, with the free number at the study's probabilities and the target, or at
-    others.
+    others; absent where too few rows carry a small probability, of which there is only a bound.
     """
+    fitted, line, carrying = _fitted(tables, limit, targets)
+    if line.compared is not None:  # its rows tell the ends
+        return fitted
+    values = dict(fitted.values)
+    for p, estimate in fitted.values.items():
+        if estimate.value is not None:
+            at = int(np.searchsorted(line.values, estimate.value))
+            if too_few(min(p, 1.0 - p), min(carrying[max(at - 1, 0) : at + 1])):
+                values[p] = absent(TOO_FEW, estimate.method, estimate.evaluations)
+    curve = np.array(fitted.curve)
+    for row, carried_by, count in zip(curve, carrying, line.counts, strict=True):
+        p = row[1]
+        if not too_few(min(p, 1.0 - p), carried_by):
+            continue
+        bound = count_bound(REPLICATES * count)
+        if p < 0.5:
+            row[2::2] = 0.0
+            row[3::2] = np.maximum(row[3::2], bound)
+        else:
+            row[2::2] = np.minimum(row[2::2], 1.0 - bound)
+            row[3::2] = 1.0
+    return replace(fitted, curve=curve.tolist(), values=values)
+
+
+def _fitted(
+    tables: Tables, limit: Limit, targets: Sequence[float]
+) -> tuple[Fragility, Line, Sequence[float]]:
+    """The same however few rows carry it, with the line and how many carry it at each value."""
     margins = tables.design.study.margins
     line = line_of(tables, tables.sample.count)
     assert margins
@@ -82,11 +110,11 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
             ends=ends,
         )
 
-    if not lost.any():
-        return fitted()
-    # between what it is if as many as may fail had all been on either side
-    bounds = fitted(-lost[:, None]), fitted(lost[:, None])
-    return fitted().allowing(bounds)
+    curve = fitted()
+    if lost.any():
+        # between what it is if as many as may fail had all been on either side
+        curve = curve.allowing([fitted(-lost[:, None]), fitted(lost[:, None])])
+    return curve, line, carrying
 
 
 def _along(line: Line, limit: Limit) -> tuple[Array, Sequence[float], Array]:
@@ -118,7 +146,8 @@ def margin_and_scale(tables: Tables, limit: Limit) -> tuple[Estimate, float | No
     """The free number at the target, and half of what the curve takes from 16 to 84 %: what its
     accuracy is held to.
     """
-    values = curve_of(tables, limit, sorted({0.16, limit.allowable, 0.84})).values
+    fitted, *_ = _fitted(tables, limit, sorted({0.16, limit.allowable, 0.84}))
+    values = fitted.values
     margin, low, high = (values[p] for p in (limit.allowable, 0.16, 0.84))
     if low.value is None or high.value is None or low.value == high.value:
         return margin, None

@@ -34,6 +34,7 @@ MANY = 16
 MOST_MANY = 1 << 16
 #: rows that carry a probability, below which their count bounds it
 FEW = 20.0
+TOO_FEW = f"fewer than {FEW:.0f} effective samples contribute to it"
 ROUGH = "runs of the model"
 #: what answers are of where model runs failed
 OF_ANSWERED = "of the model runs that answered"
@@ -83,6 +84,11 @@ class Compared:
     values: Array | None = None
     folds: Sequence[Sample] = ()
     failed: int
+
+
+def too_few(probability: float, carried_by: float) -> bool:
+    """Whether a probability is small, and carried by too few rows for an interval."""
+    return 0.0 < probability < 1e-3 and carried_by < FEW
 
 
 @bundle
@@ -233,11 +239,10 @@ class Tables:
         self, column: str, sampled: Estimate, chance: Callable[[Sample], Array]
     ) -> Estimate:
         """The failure probability of the sample; only a bound where too few rows carry it."""
-        small = sampled.value is not None and 0.0 < sampled.value < 1e-3
-        if not small or carriers(chance(self.sample)) >= FEW:
+        if not sampled.value or not too_few(sampled.value, carriers(chance(self.sample))):
             return sampled
         bound = max(sampled.high or 0.0, count_bound(self.sample.size))
-        reason = f"fewer than {FEW:.0f} effective samples contribute to it; only a bound is given"
+        reason = f"{TOO_FEW}; only a bound is given"
         bounds = absent(reason, sampled.method, sampled.evaluations, below=min(bound, 1.0))
         return replace(bounds, high_unseen=sampled.high_unseen)
 
