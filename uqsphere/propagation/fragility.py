@@ -5,12 +5,13 @@ The same points serve every value, so that the curve is smooth; each replicate h
 and their spread is the interval.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import Array, frozen
+from uqsphere.arrays import Array, Flags, frozen
 from uqsphere.errors import UsageError, whole
 from uqsphere.models.model import Model
 from uqsphere.quantities import lookup
@@ -73,18 +74,33 @@ def curve_of(tables: Tables, limit: Limit, targets: Sequence[float] = ()) -> Fra
             if too_few(min(p, 1.0 - p), min(carrying[max(at - 1, 0) : at + 1])):
                 values[p] = absent(TOO_FEW, estimate.method, estimate.evaluations)
     curve = np.array(fitted.curve)
-    for row, carried_by, count in zip(curve, carrying, line.counts, strict=True):
-        p = row[1]
-        if not too_few(min(p, 1.0 - p), carried_by):
-            continue
-        bound = count_bound(REPLICATES * count)
-        if p < 0.5:
-            row[2::2] = 0.0
-            row[3::2] = np.maximum(row[3::2], bound)
-        else:
-            row[2::2] = np.minimum(row[2::2], 1.0 - bound)
-            row[3::2] = 1.0
+    _, p, *ends = curve.T
+    bounds = [count_bound(REPLICATES * count) for count in line.counts]
+    for low, high in (ends[:2], ends[2:]):
+        rare, most = _bounds(p, high, carrying, bounds)
+        sure, least = _bounds(1.0 - p, 1.0 - low, carrying, bounds)
+        low[:] = np.where(rare, 0.0, np.where(sure, 1.0 - least, low))
+        high[:] = np.where(sure, 1.0, np.where(rare, most, high))
     return replace(fitted, curve=curve.tolist(), values=values)
+
+
+def _bounds(
+    probability: Array, high: Array, carrying: Sequence[float], bounds: Sequence[float]
+) -> tuple[Flags, Array]:
+    """Which probabilities (K,) of a curve are small and carried by too few rows, and the upper ends
+    (K,) with theirs: that of a count of none, or what the next value towards larger ones leaves.
+    """
+    few = np.array([*map(too_few, probability, carrying)])
+    high = high.copy()
+    order: Iterable[int] = range(len(high))
+    if probability[-1] >= probability[0]:
+        order = reversed(range(len(high)))
+    most = math.inf
+    for k in order:
+        if few[k]:
+            high[k] = max(high[k], min(bounds[k], most))
+        most = high[k]
+    return few, high
 
 
 def _fitted(
