@@ -142,6 +142,8 @@ def test_two_keys_give_every_combination() -> None:
         (["inputs.c=1", "inputs.k=1", "inputs.a.sd=1"], "at most 2 keys"),
         (["inputs.c=9,5 mm, 3 mm"], "a decimal comma? Write 9.5 mm, and the unit of every value"),
         (["inputs.c=1, x"], "s.toml"),
+        (["inputs.c=1e-3,2e-3,x"], "s.toml"),
+        (["inputs.c=0.5,2 mm"], "s.toml"),
         (["analysis.q=1, 2"], "q"),
     ],
 )

@@ -433,6 +433,15 @@ def test_expansions_without_a_finite_variance_are_held(count: int, power: int) -
         assert all(0.0 <= share.low <= share.high <= 1.0 for share in shares)
 
 
+@pytest.mark.parametrize("lowest", [0.0, 2.0])
+def test_outputs_whose_squares_are_zero_have_what_others_have(lowest: float) -> None:
+    # what may be wrong beyond their rows was no number
+    z = ndtri(sobol_points(dimension=2, count=64, seed=0, task="tiny"))
+    outputs = 1e-170 * (np.exp(z[:, 0]) - lowest)
+    tiny, others = (cross_fit(z, y, ("normal", "normal"))[0] for y in (outputs, 1e170 * outputs))
+    np.testing.assert_allclose(tiny.beyond, others.beyond, rtol=0.1, atol=1e-6)
+
+
 def test_the_mean_of_an_exact_expansion_is_that_of_its_terms() -> None:
     # by the points of the table 4.0892 to 4.0898 was stated for 4.0900
     mean = corrected(zoo_response("gears", 64, 2), 2).mean()

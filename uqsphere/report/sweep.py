@@ -41,6 +41,11 @@ if TYPE_CHECKING:
 #: keys of a sweep, and points of one
 MOST_KEYS, MOST_POINTS = 2, 256
 TABLE = "sweep.csv"
+#: between numbers, the last with a unit: not behind a point or an exponent, nor before an exponent
+#: alone
+_DECIMAL_COMMA = re.compile(
+    r"(?<![\w.])(?<![eE][+-])(\d+),(\d+(?:[eE][+-]?\d+)?\s?(?![eE][+-]?\d)[^\W\d][^,\"']*)"
+)
 
 
 def path_of(key: str) -> str:
@@ -126,7 +131,7 @@ def _grid(over: Names) -> dict[str, list[str]]:
     grid = {}
     for text in over:
         key, _, listed = map(str.strip, text.partition("="))
-        comma = re.search(r"(\d+),(\d+\s?[^\W\d][^,\"']*)", listed)
+        comma = _DECIMAL_COMMA.search(listed)
         if comma:
             raise UsageError(
                 f"--over {text!r}: a decimal comma? Write {comma[1]}.{comma[2]}, and the unit of "

@@ -60,12 +60,12 @@ def moments_beyond(
             ends = np.tile(rows, (2, 1, 1))
             ends[0, :, j] = side * tail
             ends[1, :, j] = last
-            beyond, at_last = fit.predict(ends) - moments.mean
-            error = student(math.inf) * np.abs(missed @ rows_of(germs, ends[0], terms))
+            # in standard deviations: squares of tiny ones are zero
+            beyond, at_last = (fit.predict(ends) - moments.mean) / moments.sd
+            error = student(math.inf) * np.abs(missed @ rows_of(germs, ends[0], terms)) / moments.sd
             error = np.minimum(error, np.abs(beyond - at_last))
             squares = (2.0 * np.abs(beyond) + error) * error
-            parts_wrong = error / moments.sd, squares / moments.sd**2
-            wrong[:, k, j] = chance * (np.array(parts_wrong) @ shares)
+            wrong[:, k, j] = chance * (np.array([error, squares]) @ shares)
     return wrong
 
 
