@@ -1,7 +1,6 @@
 """What both labs share: input files, units of keys, tables of the terminal, written files."""
 
 import json
-import os
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -140,8 +139,8 @@ def finish(chosen: Namespace, content: JsonObject, text: str, files: Mapping[str
     from uqsphere.results.folder import locked, owner_by_command, write_files
 
     file = chosen.file
-    if isinstance(file, list):  # of several, what they have in common
-        file = Path(os.path.commonpath([path.resolve() for path in file]))
+    if isinstance(file, list):
+        file = file[0]
     owner = owner_by_command(chosen.lab, file)
     written = []
     try:

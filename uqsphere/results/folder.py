@@ -68,10 +68,9 @@ def _accessing(path: Path) -> Iterator[None]:
 
 def owner_by_command(command: str, file: Path) -> str:
     """The owner of what a command, or the commands of a lab, write of an input file, which is told
-    by its own name and that of its folder.
+    by its name: a project may be moved.
     """
-    name = Path(*file.resolve().parts[-2:]).as_posix()
-    return as_text(f"uqsphere {command}, {name}")
+    return as_text(f"uqsphere {command}, {file.resolve().name}")
 
 
 def owner_of(folder: Path) -> str:
