@@ -413,7 +413,7 @@ def test_every_function_is_compiled_in_one_form() -> None:
     series are those of approaches and of kept waves, arrays of two shapes.
     """
     solve(random_scene(1, 1))
-    for module in (events, faces, incoming, kernel, lanes, records):
+    for module in (events, faces, flights, incoming, kernel, lanes, records, touch):
         for function in vars(module).values():
             if hasattr(function, "py_func") and function.overloads:
                 forms = 2 if function is events.rise_of else 1

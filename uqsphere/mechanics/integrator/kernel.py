@@ -170,7 +170,9 @@ def _enter(s, j, r, rows):
     if pulse_end == inf and lane.first_echo == inf:
         lane.steady_level = 1.0
     _jump(s, j, rows)  # at first touch the waves begin
-    closes = max(flights.closing_rate(s, j, 0), flights.closing_rate(s, j, 1))
+    closes = 0.0
+    for face in range(2):
+        closes = max(closes, flights.closing_rate(s, j, face))
     if s.rigged and closes <= 0.0:
         lane.fate = tracked.NEVER_CLOSES
 
