@@ -13,8 +13,8 @@ their residuals.
 
 The exponential of a polynomial, and polynomials of an unbounded law of an input's own, grow faster
 where no row lies than Hermite polynomials of normal scores do.  Where a fold is contradicted, or
-more than `GOOD` of the variance is left at the rows or may be wrong beyond them, the output itself
-is expanded in the scores as well, and the response that misses less is kept.
+more than `GOOD` is left at the rows or may be wrong beyond them, the output itself is expanded in
+the scores as well, and the response that misses less is kept (`Response.missing`).
 """
 
 import math
@@ -135,8 +135,9 @@ class Response:
     @cached_property
     def beyond(self) -> Array:
         """What may be wrong of mean and variance beyond all rows, (2, d) as `moments_beyond` has
-        it, by the tails of each input: of the folds whose coefficients count the median, as values
-        of moments are.  They
+        it, by the tails of each input.
+
+        The median of the folds whose coefficients count, as values of moments are: these folds
         share most of their rows, and may run away together.  Tails are independent, so that their
         squares add up.
         """
@@ -153,8 +154,8 @@ class Response:
 
     @property
     def missing(self) -> float:
-        """Share of the variance that is left at the rows, or may be wrong beyond them; infinite
-        where the coefficients of no fold count.
+        """Share of the variance that is left at the rows, and what may be wrong of mean and
+        variance beyond them; infinite where the coefficients of no fold count.
         """
         if not self.trusted:
             return math.inf
