@@ -1,16 +1,13 @@
-"""Stress and velocity anywhere in the bars: the wave equation, the boundaries, and where tension
-comes first.
-"""
+"""Stress and velocity anywhere in the bars: the wave equation and the boundaries."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_gauges import BASE, C0, Z, history_with
+from test_gauges import C0, Z, history_with
 
-from uqsphere.mechanics import field
 from uqsphere.mechanics.contact import hertz_force
-from uqsphere.mechanics.field import field_at, field_grid, first_tension
+from uqsphere.mechanics.field import field_at, field_grid
 from uqsphere.mechanics.history import view_field
 
 SCENES = {
@@ -84,49 +81,6 @@ def test_the_field_obeys_the_wave_equation(scene):
         # fronts that jump inside the cell cost the quadrature a few panels of 1/400
         assert momentum == pytest.approx(force, abs=4e-3 * 7850.0 * width)
         assert strain == pytest.approx(stretch, abs=4e-3 * span)
-
-
-def test_tension_begins_where_the_tail_meets_the_reflection():
-    """A rectangle's tail meets the front of its own reflection l_0 from the sphere, t_i/2 after
-    first touch.
-    """
-    found = first_tension(history_with().motion, "incident")
-    assert found.position == pytest.approx(BASE["striker.length"], rel=1e-7)
-    assert found.time == pytest.approx(BASE["striker.length"] / C0, rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("bar", "shape", "numbers", "share", "near"),
-    [
-        ("receiving", "rectangular", {}, 1e-6, 0.001),
-        ("incident", "half_sine", {}, 0.01, 0.005),
-        ("incident", "trapezoid", {"pulse_rise": 30e-6, "pulse_fall": 50e-6}, 0.01, 0.005),
-    ],
-)
-def test_the_first_tension_against_a_plain_search(monkeypatch, bar, shape, numbers, share, near):
-    """Nothing a little earlier anywhere, tension somewhere a little later, and at the place found
-    at once.
-    """
-    history = history_with(shape, **numbers)
-    monkeypatch.setattr(field, "tension_level", lambda motion: share)
-    found, level = first_tension(history.motion, bar), share * 0.5 * 7850.0 * C0
-    d = np.linspace(0.0, {"incident": 1.5, "receiving": 1.2}[bar], 3001)
-    for time, some in (((1.0 - near) * found.time, False), ((1.0 + near) * found.time, True)):
-        assert (
-            field_at(history.motion, bar, d, np.full(d.shape, time)).stress > level
-        ).any() == some
-    later = np.array([found.time * (1.0 + 1e-5)])
-    assert field_at(history.motion, bar, found.position, later).stress[0] > 0.0
-
-
-def test_no_tension_where_nothing_pulls():
-    history = history_with("step", infinite=True, horizon=1e-3)
-    assert first_tension(history.motion, "incident") is None
-    assert first_tension(history.motion, "receiving") is None
-    assert (
-        first_tension(history_with(bars_receiving_end=-1.0, horizon=7e-4).motion, "receiving")
-        is None
-    )
 
 
 def test_endless_bars_have_a_field_at_any_distance():

@@ -9,7 +9,6 @@ length without reflections; here a gauge may be anywhere, and every reflection i
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 
 from uqsphere.arrays import Array, Pair, Values, quiet
 
@@ -141,13 +140,9 @@ def field_at(
     towards = arriving(motion, number, times + delay, sides=sides)
     away = leaving(motion, number, times - delay, sides=sides)
     _, density = motion.material
-    stress = density * motion.wave_speed * _pull(number, away, towards)
+    sign = 1 - 2 * number
+    stress = sign * density * motion.wave_speed * (away - towards)
     return Field(stress, towards + away)
-
-
-def _pull(number: int, away: Values, towards: Values) -> Values:
-    """Tension over rho c0: of the incident bar (0), or of the receiving bar (1)."""
-    return (1 - 2 * number) * (away - towards)
 
 
 def check_position(motion: Motion, bar: str, position: Values) -> int:
@@ -178,96 +173,6 @@ def field_grid(motion: Motion, places: Array, times: Array) -> Field:
         field = field_at(motion, bar, distances.ravel(), instants.ravel())
         both[:, :, inside] = np.reshape(field, (2, *distances.shape))
     return Field(*both)
-
-
-# --- the first tension of a bar -------------------------------------------------------------------
-
-#: fraction of the pulse's stress that counts as tension; its maximum for a measured pulse
-_TENSION_LEVEL = 1e-6
-_LARGEST_TENSION_LEVEL = 0.05
-#: search for the first tension: instants at each contact; zooms, each by a factor of 8 (8^12
-#: exceeds the digits of a double), and points of a zoom
-_SEARCH_POINTS = 1500
-_ZOOMS = 12
-_ZOOM_POINTS = 33
-
-
-class Tension(NamedTuple):
-    """Where and when a bar is first under tension: distance from the sphere [m], time [s]."""
-
-    bar: str
-    position: float
-    time: float
-
-
-def tension_level(motion: Motion) -> float:
-    """Stress over rho c0 v0/2 above which `first_tension` reports tension.
-
-    Noise and baseline errors put a measured pulse below zero before its foot and after its end; the
-    level is then 1.5 times the largest such value, at most 5 %.
-    """
-    record = motion.scene.record
-    if record is None:
-        return _TENSION_LEVEL
-    steps = np.linspace(0.0, 1.0, 65)[:, None] * np.diff(record.breaks)
-    strain = polyval(steps, np.transpose(record.coefficients), tensor=False)
-    return float(np.clip(-1.5 * strain.min(), _TENSION_LEVEL, _LARGEST_TENSION_LEVEL))
-
-
-def first_tension(motion: Motion, bar: str) -> Tension | None:
-    """First tension of a bar: the stress exceeds the share `tension_level` of that of the pulse.
-
-    Tension occurs where g_A(u) > f(w) (receiving bar: h(w) > k_B(u)), u = t - d/c0 and w = t +
-    d/c0.  The least u + w with 0 <= w - u <= 2 l/c0 is found on a
-    grid and by zooming in.  None if there is no tension up to the horizon.
-    """
-    number = BARS.index(bar)
-    level = tension_level(motion) * motion.scales.speed
-    trip = motion.round_trip(number) * (1.0 + _ROUNDING)
-    nodes = _search_times(motion, number)
-    away = leaving(motion, number, nodes)
-    towards = arriving(motion, number, nodes)
-    best = np.inf
-    places = (0, 0)
-    for k, begin in enumerate(nodes):
-        if 2.0 * begin >= best:
-            break
-        stop = np.searchsorted(nodes, min(begin + trip, best - begin), side="right")
-        pulled = _pull(number, away[k], towards[k:stop]) > level
-        if pulled.any():
-            first = k + int(np.argmax(pulled))
-            if begin + nodes[first] < best:
-                best = begin + nodes[first]
-                places = (k, first)
-    if not np.isfinite(best):
-        return None
-    # the instants u and w, and the ranges that are searched around them
-    low, point, high = (
-        nodes[np.clip(np.add(places, step), 0, len(nodes) - 1)] for step in (-1, 0, 1)
-    )
-    for _ in range(_ZOOMS):
-        grid = np.vstack([np.linspace(low, high, _ZOOM_POINTS), point])
-        u, w = (axis.ravel() for axis in np.meshgrid(*grid.T, indexing="ij"))
-        inside = (w >= u) & (w - u <= trip) & (u >= 0.0)
-        pull = _pull(number, leaving(motion, number, u), arriving(motion, number, w))
-        k = int(np.argmin(np.where(inside & (pull > level), u + w, np.inf)))
-        point = np.array([u[k], w[k]])
-        width = 2.0 * ((high - low) / (_ZOOM_POINTS - 1))
-        low = point - width
-        high = point + width
-    begin, end = point.tolist()
-    return Tension(bar, 0.5 * motion.wave_speed * (end - begin), 0.5 * (begin + end))
-
-
-def _search_times(motion: Motion, number: int) -> Array:
-    """Instants at a contact: an even grid, the kinks of the pulse, and their reflections."""
-    horizon = motion.horizon
-    trip = motion.round_trip(number)
-    kinks = pulse_kinks(motion, [0.0, motion.echo(number)])
-    near = min(horizon, 4.0 * trip, 20.0 * motion.pulse_end)
-    grids = [np.linspace(0.0, end, _SEARCH_POINTS) for end in (horizon, near)]
-    grid = np.concatenate([*grids, kinks])
-    return np.unique(grid[(grid >= 0.0) & (grid <= horizon)])
 
 
 # --- gauges ---------------------------------------------------------------------------------------

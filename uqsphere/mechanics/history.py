@@ -18,12 +18,9 @@ from uqsphere.errors import UsageError
 
 from . import contact
 from .field import (
-    BARS,
     GaugeRecord,
-    Tension,
     arriving,
     field_grid,
-    first_tension,
     force_imbalance,
     gauge_strain,
     leaving,
@@ -394,8 +391,7 @@ def rod_record(course: Motion, position: float, times: Array) -> GaugeRecord:
 
 
 class FieldView(NamedTuple):
-    """Stress in both bars over place and time, and where and when each bar that sees tension is
-    first under it.
+    """Stress in both bars over place and time.
 
     reach: length shown of the incident and of the receiving bar [m].  begin, last: instants [s]
     since first touch.  stress (t, x): [Pa], tension positive, at times (t,) [s] and places (x,)
@@ -408,7 +404,6 @@ class FieldView(NamedTuple):
     places: Array
     times: Array
     stress: Array
-    tensions: tuple[Tension, ...]
 
 
 def view_field(history: History, *, places: int, times: int) -> FieldView:
@@ -425,7 +420,6 @@ def view_field(history: History, *, places: int, times: int) -> FieldView:
     begin = -left / speed
     x = -left + (np.arange(places) + 0.5) / places * (left + right)
     t = begin + (np.arange(times) + 0.5) / times * (last - begin)
-    tensions = [first_tension(course, bar) for bar in BARS]
     return FieldView(
         reach=(left, right),
         begin=begin,
@@ -433,5 +427,4 @@ def view_field(history: History, *, places: int, times: int) -> FieldView:
         places=x,
         times=t,
         stress=field_grid(course, x, t).stress,
-        tensions=tuple(filter(None, tensions)),
     )

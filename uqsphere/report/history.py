@@ -14,7 +14,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, frozen
 from uqsphere.errors import UsageError
-from uqsphere.mechanics.field import BARS, default_positions, first_tension, gauge_record
+from uqsphere.mechanics.field import default_positions, gauge_record
 from uqsphere.mechanics.history import (
     FieldView,
     History,
@@ -137,12 +137,6 @@ def history_rows(course: Course) -> Iterator[tuple[str, str]]:
         balanced = equilibrium(course)
         text = "always" if balanced == 0.0 else _when(balanced)
         yield "time to force equilibrium (forces within 5 % of their mean)", text
-        for bar in BARS:
-            tension = first_tension(course.motion, bar)
-            text = "none"
-            if tension:
-                text = f"{_when(tension.time)}, {tension.position:.4g} m from the sphere"
-            yield f"first tension in the {bar} bar", text
         for record in course.gauges:
             for waves in record.overlaps[:2]:
                 span = f"{_when(waves.begin)} to {_when(waves.end)}"
@@ -224,7 +218,7 @@ def _draw_lines(
 
 
 def _draw_xt(axes: Axes, view: FieldView, largest: float) -> None:
-    """Stress in the bars over place and time, and where tension is first."""
+    """Stress in the bars over place and time."""
     picture = axes.imshow(
         1e-6 * view.stress,
         origin="lower",
@@ -235,8 +229,5 @@ def _draw_xt(axes: Axes, view: FieldView, largest: float) -> None:
         extent=(-view.reach[0], view.reach[1], 1e6 * view.begin, 1e6 * view.last),
     )
     axes.figure.colorbar(picture, ax=axes, label="stress [MPa], tension positive")
-    for tension in view.tensions:
-        sign = -1.0 if tension.bar == "incident" else 1.0
-        axes.plot(sign * tension.position, 1e6 * tension.time, "k^", ms=5)
     axes.grid(visible=False)
     axes.set(xlabel="place [m], the sphere at 0", ylabel="time [us]")
