@@ -23,7 +23,6 @@ from uqsphere.results.types import (
     DependenceEntry,
     Doubt,
     LibraryRange,
-    NeededStrength,
     Range,
     RateRange,
     Remedy,
@@ -469,23 +468,6 @@ def test_a_curve_that_turns_back_is_not_outside_the_range(granite: Results) -> N
         rows.append(row)
     table = limits(granite.model_copy(update={"answers": rows}))
     assert table.rows[0][3] == "several values"
-
-
-def test_the_strength_that_the_plan_needs_is_told(granite: Results) -> None:
-    needed = NeededStrength(quantity="p_max", value=4.41e9, present=4e9, joint=True)
-    remedy = Remedy(code="test more", subject="limits.crushing", needed=needed)
-    text = DecisionText(granite, decision(next=remedy)).next
-    assert text.endswith("The plan needs a mean strength of 4.5 GPa or more (here 4 GPa).")
-    itself = needed.model_copy(update={"joint": False})
-    text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": itself}))).next
-    assert text.endswith("(here 4 GPa), other modes aside.")
-    # the plan is 0.5 m/s: with this mode out of the way the others allow less
-    for best, end in ((0.42, "; other modes rule it out."), (0.6, "aside.")):
-        short = remedy.model_copy(update={"needed": itself, "at_best": best})
-        assert DecisionText(granite, decision(next=short)).next.endswith(end)
-    other = needed.model_copy(update={"subject": "modes.core tension"})
-    text = DecisionText(granite, decision(next=remedy.model_copy(update={"needed": other}))).next
-    assert "The plan needs a mean strength of core tension of 4.5 GPa or more" in text
 
 
 def test_a_target_is_told_as_it_was_asked(granite: Results) -> None:

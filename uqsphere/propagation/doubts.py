@@ -43,8 +43,6 @@ from .tables import FEW
 
 #: strengths that tests allow
 LAWS = 400
-#: factor on a strength, or its inverse, up to which the one that a plan needs is looked for
-_STRONGER = 100.0
 #: rows that carry a probability at least at a number
 FEWEST = 5.0
 
@@ -365,29 +363,6 @@ class Curves:
             # between the two the curve may jump
             return float(self.line.values[k - 1 + self.safe_above])
         return float(self.line.value_at(brentq(excess, low, high)))
-
-    def needed(self, doubt: Doubt, *, joint: bool) -> float | None:
-        """What the strength of a doubt must be multiplied by to just keep its target at the first
-        value, by itself or with the other failure modes; None where no factor does.
-        """
-        from scipy.optimize import brentq
-
-        limit = doubt.limit
-        state, others = self._against(limit, tied=doubt.code != "tie")
-        if doubt.code == "distribution":
-            state = replace(state, strength=doubt.laws[0])
-        if not joint:
-            others = Others()
-
-        def excess(log_factor: float) -> float:
-            stronger = replace(state, demands=state.demands * math.exp(-log_factor))
-            exceeded = self.line.means(others.or_any(exceedance(stronger, self.survive)))
-            return float(score(exceeded[0].mean()) - score(limit.allowable))
-
-        most = math.log(_STRONGER)
-        if excess(-most) * excess(most) >= 0.0:
-            return None
-        return math.exp(brentq(excess, -most, most, xtol=1e-4))
 
     def by_strengths(
         self, limit: Limit, laws: Sequence[Law | float] = (), *, tied: bool = True

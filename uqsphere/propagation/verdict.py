@@ -25,7 +25,6 @@ from uqsphere.results.types import (
     Kind,
     LibraryRange,
     MarginNote,
-    NeededStrength,
     Range,
     RateRange,
     Remedy,
@@ -33,7 +32,7 @@ from uqsphere.results.types import (
     Use,
     VerdictWord,
 )
-from uqsphere.study import Limit, mean_of
+from uqsphere.study import Limit
 from uqsphere.study.limits import DYNAMIC
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates
 from uqsphere.uq.estimate import SURE, spread
@@ -581,40 +580,7 @@ def _of_doubt(judged: Judged, verdict: VerdictWord, caveats: Sequence[Caveat]) -
         if remedy == "test more":
             gains = gains_of(line)
     remedy = remedy or "change the plan"
-    needed = _needed(judged, deciding)
-    return Remedy(code=remedy, subject=subject, at_best=at_best, needed=needed, gains=gains)
-
-
-def _needed(judged: Judged, deciding: Doubt) -> NeededStrength | None:
-    """The strength that the plan needs, of a failure mode that is to be measured, else of the limit
-    or failure mode by which most failures there are: with the other failure modes, else by itself
-    where it misses its target so.
-
-    None of tests, what they leave open is not in it; and none of contacts that yield.
-    """
-    plan = judged.plan
-    doubt = deciding
-    if deciding.code != "assumed strength":
-        doubt = plan.governing
-    limit = doubt.limit
-    strength = limit.resistance
-    if number_of_tests(strength) is not None or doubt.code == "contact law":
-        return None
-    quantity = limit.quantity
-    if strength is not limit.strength:  # the force of its tests
-        quantity = "P_max"
-    for joint in (True, False):
-        factor = plan.needed(doubt, joint=joint)
-        if factor is not None and (joint or (factor > 1.0) == plan.survive):
-            present = mean_of(strength)
-            return NeededStrength(
-                subject=limit.subject,
-                quantity=quantity,
-                value=factor * present,
-                present=present,
-                joint=joint,
-            )
-    return None
+    return Remedy(code=remedy, subject=subject, at_best=at_best, gains=gains)
 
 
 def _disagreeing(judged: Judged) -> Doubt:

@@ -20,7 +20,6 @@ from uqsphere.results.types import (
     Doubt,
     FreeNumber,
     Kind,
-    NeededStrength,
     Range,
     Results,
     Shortfall,
@@ -194,7 +193,6 @@ class DecisionText:
                     )
         if remedy.code == "widen the range" and self._kept_everywhere:
             return "Widen margins.between to find where the target is missed."
-        of = ""
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
         way = ""
@@ -223,30 +221,10 @@ class DecisionText:
             text += f"; the number to use would then be {self.number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
                 text += f", if {subject} never fails"
-        if remedy.needed:
-            name = plain_name(remedy.needed.subject) or subject
-            if remedy.code == "change the plan":
-                text = f"Change the planned value or the target, or measure the strength of {name}"
-            elif name != subject:
-                of = f" of {name}"
-            text += f". {self._needed(remedy.needed, of, remedy.at_best)}"
+        entry = self.results.entries.get(remedy.subject)
+        if remedy.code == "change the plan" and entry and not entry.tests:
+            text = f"Change the planned value or the target, or measure the strength of {subject}"
         return f"{text}."
-
-    def _needed(self, needed: NeededStrength, of: str, at_best: float | None) -> str:
-        """The strength that the planned value needs, to be compared with a data sheet."""
-        survive = self.decision.aim == "survive"
-        _, least = round_conservative(
-            needed.value, needed.quantity, safe_above=survive, planned=needed.present
-        )
-        side = "more" if survive else "less"
-        present = value(needed.present, needed.quantity)
-        text = f"The plan needs a mean strength{of} of {least} or {side} (here {present})"
-        if needed.joint:
-            return text
-        planned = self._free and self._free.planned
-        if planned and at_best and (at_best > planned) == self._safe_above:
-            return f"{text}; other modes rule it out"
-        return f"{text}, other modes aside"
 
     @property
     def open(self) -> list[str]:

@@ -462,22 +462,6 @@ RemedyCode = Literal[
 ]
 
 
-class NeededStrength(Part):
-    """The mean strength, at the same scatter, with which the planned value just keeps the target:
-    the least one, for spheres that are to break the largest.
-    """
-
-    subject: str = ""
-    """limit or failure mode: that by which most failures at the plan are"""
-    quantity: str
-    """quantity that it has the unit of"""
-    value: float
-    present: float
-    """mean strength of this run"""
-    joint: bool
-    """with the other failure modes; else by this limit itself, as with them none keeps it"""
-
-
 class Remedy(Part):
     """What to do next, for the doubt that governs."""
 
@@ -486,8 +470,6 @@ class Remedy(Part):
     """limit, failure mode, key or check that it is about"""
     at_best: Finite = None
     """number to use once this doubt is gone"""
-    needed: NeededStrength | None = None
-    """strength that the planned value needs"""
     gains: list[TestsGain] = []
     """number to use by number of tests"""
 
