@@ -635,34 +635,6 @@ accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.2 }
 """
 
 
-@pytest.mark.parametrize("law", ["hertz", "plastic"])
-def test_what_the_loading_rate_makes_of_a_number_stands_beside_it(law: str, tmp_path: Path) -> None:
-    """Spheres that bore more by a factor must be struck faster, by Hertz by its power of 5/6."""
-    forces = stats.weibull_min.ppf((np.arange(12) + 0.5) / 12.0, 8.0, scale=9e3)
-    rows = "\n".join(f"20,{force:.0f}" for force in forces)
-    (tmp_path / "tests.csv").write_text(f"D_mm,F_N\n{rows}\n", encoding="utf-8")
-    changes = [f"contact.law={law}"]
-    if law == "plastic":
-        changes += ["sphere.onset_pressure=0.85 GPa", "sphere.hardness=2 GPa"]
-    study = load_study(tmp_path / "study.toml", changes, text=ROTOR)
-    results = uqsphere.run(study).results
-    (decision,) = results.decisions
-    rate, use = decision.rate, decision.use
-    assert rate is not None
-    assert use is not None
-    assert rate.factors == (1.24, 2.12)
-    if law == "hertz":
-        by_power = [use.value * factor ** (5.0 / 6.0) for factor in rate.factors]
-        assert [rate.least, rate.most] == pytest.approx(by_power, rel=0.01)
-    assert use.value < (rate.least or 0.0) < (rate.most or 0.0)
-    (words,) = decision_texts(results)
-    span = f"at least {words.number(rate.least)} to {words.number(rate.most)}"
-    said = f"The loading rate would make it {span}."
-    assert said in words.sentence
-    assert len(words.sentence.split()) <= 45
-    assert said in " ".join(summary(results).split())
-
-
 def _on_the_rotor(limits: str) -> Results:
     """A run of the rotor with limits in place of its own."""
     before, after = ROTOR[: ROTOR.index("[limits.force]")], ROTOR[ROTOR.index("[margins]") :]

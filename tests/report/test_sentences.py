@@ -24,7 +24,6 @@ from uqsphere.results.types import (
     Doubt,
     LibraryRange,
     Range,
-    RateRange,
     Remedy,
     Results,
     Use,
@@ -289,12 +288,10 @@ def test_limits_that_lack_the_rate_of_the_rig_are_one_clause(granite: Results) -
     caveats.append(Caveat(code="synthetic tests", subject="limits.energy"))
     text = DecisionText(granite, decision(caveats=caveats, next=remedy))
     assert text.next == "Set limits.energy.rate_0, or test at the rate of the rig."
-    # without a free number it is told where its effect would stand
     study = granite.study.model_copy(update={"free": None})
     fixed = granite.model_copy(update={"study": study})
     text = DecisionText(fixed, decision(use=None, caveats=caveats))
-    way = "for a number to use, and for what the loading rate makes of it."
-    assert text.sentence == f"Target: at most 1 %. Add [margins] {way}"
+    assert text.sentence == "Target: at most 1 %. Add [margins] for a number to use."
 
 
 #: a doubt that keeps its target in the whole range
@@ -305,32 +302,6 @@ EVERYWHERE = {
     "margin": None,
     "margin_note": "everywhere",
 }
-
-
-@pytest.mark.parametrize(
-    ("least", "most", "says"),
-    [
-        (0.6, 1.1, "would make it at least 0.6 m/s to 1.1 m/s"),
-        (0.6, None, "would make it at least 0.6 m/s to none"),
-        (None, None, "would leave no number"),
-        (0.3, 0.3, "would not change that"),
-        (0.3, 0.6, "would make it at least 0.3 m/s to 0.6 m/s"),
-    ],
-)
-def test_the_loading_rate_stands_beside_a_number(
-    granite: Results, least: float | None, most: float | None, says: str
-) -> None:
-    rate = RateRange(factors=(1.24, 2.12), least=least, most=most)
-    breaks = {"aim": "break", "safe_above": True, "rate": rate}
-    text = DecisionText(granite, decision(use=used(0.3, least=True), **breaks))
-    assert f"The loading rate {says}." in text.sentence
-    # a range that all keeps its target is no number, and the rate may leave less of it
-    doubt = Doubt(**EVERYWHERE)
-    text = DecisionText(granite, decision(use=None, doubts=[doubt], **breaks))
-    assert text.use.startswith("Use any value between")
-    assert says in text.sentence
-    text = DecisionText(granite, decision(use=None, blocked_by="limits.crushing", **breaks))
-    assert "loading rate" not in text.sentence
 
 
 def test_what_tests_leave_open_is_told_where_it_is_more_than_a_bound(granite: Results) -> None:

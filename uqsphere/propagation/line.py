@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import field, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -39,13 +39,11 @@ class Line:
 
     samples : the rows at each of K values; at nan for the plan
     compared : the rows of a slow model that they are predicted from
-    stronger : what strengths are multiplied by, by the names of their limits
     """
 
     design: Design
     samples: Mapping[float, Sample]
     compared: Compared | None = None
-    stronger: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def values(self) -> tuple[float, ...]:
@@ -102,8 +100,7 @@ class Line:
         """Demands of a limit at all rows against its strength."""
         state = state_of(self.design, limit, self.rows)
         factors = [self.design.study.demand_factor(limit, value) for value in self.values]
-        by_row = np.repeat(factors, self.counts) / self.stronger.get(limit.name, 1.0)
-        return replace(state, demands=state.demands * by_row)
+        return replace(state, demands=state.demands * np.repeat(factors, self.counts))
 
     def by_value(self, rows: Array) -> list[Array]:
         """Rows (R, N) apart, a part for each value."""
@@ -305,7 +302,7 @@ class YieldingRows:
             samples[value] = self.evaluated[value].head(sample.count)
             if samples[value].failed.all():
                 return None
-        return Line(design=self.design, samples=samples, stronger=line.stronger)
+        return Line(design=self.design, samples=samples)
 
 
 def yielding_rows(design: Design) -> YieldingRows | None:

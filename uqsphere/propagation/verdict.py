@@ -26,14 +26,12 @@ from uqsphere.results.types import (
     LibraryRange,
     MarginNote,
     Range,
-    RateRange,
     Remedy,
     RemedyCode,
     Use,
     VerdictWord,
 )
 from uqsphere.study import Limit
-from uqsphere.study.limits import DYNAMIC
 from uqsphere.uq import LEVEL_TEXT, Estimate, Law, from_replicates
 from uqsphere.uq.estimate import SURE, spread
 
@@ -306,7 +304,6 @@ def decision_of(judged: Judged, checks: Sequence[Check]) -> Decision:
         band=_band(settled),
         doubts=[_row(judged, doubt) for doubt in doubts],
         caveats=caveats,
-        rate=_rate(judged, caveats),
         library=judged.library,
         next=_remedy(judged, verdict, caveats),
     )
@@ -366,23 +363,6 @@ def _band(settled: Settled) -> list[CurvePoint]:
             points = zip(values, low, high, strict=True)
             return [CurvePoint(at=at, value=None, low=a, high=b) for at, a, b in points]
     return []
-
-
-def _rate(judged: Judged, caveats: Sequence[Caveat]) -> RateRange | None:
-    """What the loading rate would make of the number, where strengths of quasi-static tests are
-    taken for those of a rig that loads dynamically.
-    """
-    rated = [caveat.subject for caveat in caveats if caveat.code == "rate"]
-    names = [limit.name for limit in judged.aim.limits if limit.strength_name in rated]
-    line = judged.line
-    if not names or line is None or line.line.compared is not None:
-        return None
-    numbers = []
-    for factor in DYNAMIC:
-        stronger = replace(line.line, stronger=dict.fromkeys(names, factor))
-        number = replace(line, line=stronger).number
-        numbers.append(line.ends[1] if number == math.inf else number)
-    return RateRange(factors=DYNAMIC, least=numbers[0], most=numbers[1])
 
 
 def _row(judged: Judged, doubt: Doubt) -> types.Doubt:

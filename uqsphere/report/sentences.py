@@ -106,10 +106,7 @@ class DecisionText:
         if decision.target is None and not use:
             return "No target is set."
         if not self._free:
-            text = f"{self._target}. Add [margins] for a number to use"
-            if any(caveat.code == "rate" for caveat in decision.caveats):
-                text += ", and for what the loading rate makes of it"
-            return f"{text}."
+            return f"{self._target}. Add [margins] for a number to use."
         parts = [self._plan(self._free)]
         used = ""
         if not use:
@@ -117,7 +114,6 @@ class DecisionText:
         else:
             used = self.number(use.value)
             parts.append(self._governs)
-        parts.append(self._rate)
         library = decision.library
         if library and not self._library_governs and self.number(library.weak) != used:
             mode = capital(library.mode)
@@ -312,29 +308,6 @@ class DecisionText:
                 text += f"; the number is that of {plain_name(doubt.subject)}"
             text += f", {clause}"
         return f"{text}."
-
-    @property
-    def _rate(self) -> str:
-        """What the rate of loading would make of the number: how much stronger rock is then stands
-        with what is open.
-        """
-        rate = self.decision.rate
-        use = self.decision.use
-        if not rate or not (use or self._kept_everywhere):
-            return ""
-        first, last = (self.number(x) for x in (rate.least, rate.most))
-        now = first
-        if use:
-            now = self.number(use.value)
-        if rate.least is None:
-            allowed = "leave no number"
-        elif now == first == last:
-            allowed = "not change that"
-        else:
-            allowed = f"make it {self._allowed(rate.least)}"
-            if last != first:
-                allowed += f" to {last}"
-        return f"The loading rate would {allowed}."
 
     @property
     def _library_governs(self) -> bool:

@@ -424,17 +424,6 @@ class LibraryRange(Part):
     """mean strengths at the weak and the strong end"""
 
 
-class RateRange(Part):
-    """What the rate of loading leaves open, where strengths of quasi-static tests are taken."""
-
-    factors: tuple[float, float]
-    """how many times as strong rock was under dynamic loads, at least and at most"""
-    least: Finite
-    """number to use at the smaller factor"""
-    most: Finite
-    """number to use at the larger factor"""
-
-
 class TestsGain(Part):
     """What a number of tests would buy."""
 
@@ -539,7 +528,6 @@ class Decision(Part):
     """failure probability over the strengths that the tests allow"""
     doubts: list[Doubt] = []
     caveats: list[Caveat] = []
-    rate: RateRange | None = None
     library: LibraryRange | None = None
     next: Remedy
 

@@ -54,8 +54,6 @@ _PRESSURES = (
 #: ratio of the diameters of tests and sphere above which a warning is given; above `FARTHEST_SIZE`
 #: a size law is required
 _SIZES_TOLD = 1.1
-#: how many times as strong rock was under dynamic loads as under quasi-static ones
-DYNAMIC = (1.24, 2.12)
 #: a criterion increases at least with this power of the force
 _RISES = 0.05
 #: at equal strength the force goes with this power of the diameter, without flaws (default: 2)
@@ -314,10 +312,9 @@ def _warn_of_rate(draft: Draft, limit: Limit) -> None:
     """Warn of quasi-static tests in a rig that loads dynamically: where the sphere is to break, the
     strength that is left out is on the unsafe side.
     """
-    least, most = DYNAMIC
     text = (
-        "the tests were quasi-static, but the rig loads dynamically, and rock was then "
-        f"{least:g} to {most:g} times as strong"
+        "the tests were quasi-static, but the rig loads dynamically, and rock was then 1.24 to "
+        "2.12 times as strong"
     )
     way = f"test the strength of {limit.name} at the rate of the rig"
     demand = limit.quantity.partition(".")[0]
