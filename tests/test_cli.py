@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -9,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from uqsphere.arrays import Array, Names
 from uqsphere.cli import EXIT_CODES, LABS, main
+from uqsphere.models.model import Model
+from uqsphere.models.rows import EvaluatedRows
 from uqsphere.report.study import described
 from uqsphere.study import load_study, shipped_studies
 
@@ -179,6 +183,25 @@ def test_a_check_names_no_more_runs_than_the_budget(capsys: pytest.CaptureFixtur
     Path("square.toml").write_text(f"{SQUARE}analysis.budget.evaluations = 300")
     assert main(["check", "square.toml"]) == 0
     assert "starts with 256 model runs" in capsys.readouterr().out
+
+
+def test_a_check_says_how_long_a_run_takes_by_64_rows(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    evaluate = Model.evaluate
+
+    def counted(model: Model, names: Names, rows: Array, columns: Names) -> EvaluatedRows:
+        asked.append(len(rows))
+        return evaluate(model, names, rows, columns)
+
+    monkeypatch.setattr(Model, "evaluate", counted)
+    assert main(["new", "granite"]) == 0
+    assert main(["check", "granite.toml"]) == 0
+    assert asked == [64, 64]
+    said = capsys.readouterr().out
+    assert re.search(r"A run starts with 10,496 model runs \(.* about [\d.]+ s\)", said)
+    assert "at most 2,000,000 in 600 s (analysis.budget)" in said
 
 
 @pytest.mark.parametrize("at", ["uqsphere.cli", "uqsphere.study", "numba", "exit"])

@@ -1,12 +1,9 @@
 """A study as it was read, and the lists of what there is: what `check` and `list` print."""
 
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from uqsphere.arrays import one_thread
 from uqsphere.materials import library
 from uqsphere.mechanics.criteria import CRITERIA
 from uqsphere.quantities import OUTPUTS, display_unit, format_value
@@ -21,8 +18,8 @@ from .tables import PageTable, Row, columns
 
 #: probabilities of the ends of the range that is printed of a random number
 ENDS = np.array([0.05, 0.95])
-#: model runs of a trial run, and what its analyses, figures and report take beside model runs [s]
-TRIAL_RUNS, REPORT_SECONDS = 1400, 4.0
+#: what analyses, figures and report take beside model runs [s]
+REPORT_SECONDS = 4.0
 
 
 def described(study: Study) -> str:
@@ -112,43 +109,34 @@ def _shape(law: Law) -> str:
 
 
 def cost(study: Study) -> str:
-    """The expected cost of a whole run, from a short trial run; of a user model, its bounds."""
+    """With how many model runs a run starts, and what it takes at most; of the impact model also
+    how long these runs take, by 64 that are timed.
+    """
     from uqsphere.models.model import Model
     from uqsphere.propagation.design import Design
-    from uqsphere.propagation.grow import first_count, first_rows, grow
+    from uqsphere.propagation.grow import first_count, first_rows
     from uqsphere.propagation.tables import input_rows
-    from uqsphere.propagation.verdict import judge
 
     first = first_rows(study, first_count(study))
     budget = study.analysis.budget
-    start = f"A run starts with {first:,} model runs and doubles the sample until it is accurate"
-    if study.black_box:
-        longest = budget.time
+    longest = budget.time
+    start = f"A run starts with {first:,} model runs"
+    end = ""
+    if not study.black_box:
+        design = Design.of(study)
+        names, rows = input_rows(design.points(4))  # of each of 16 replicates
+        with Model(design.judged) as model:
+            for _ in range(2):  # the first time it compiles the integrator
+                model.evaluate(names, rows, design.columns)
+        seconds = first * model.seconds_per_row + REPORT_SECONDS
+        start += f" (with analysis and report about {float(f'{seconds:.2g}'):g} s)"
+    else:
+        end = " A slow model gets one design of fewer runs."
         if study.analysis.cost is not None:
             longest = min(study.analysis.cost * budget.evaluations, longest)
-        most = f"at most {budget.evaluations:,} in {longest:,.0f} s (analysis.budget)"
-        return f"{start}: {most}. A slow model gets one design of fewer runs."
-    few = study.analysis.model_copy(
-        update={"budget": budget.model_copy(update={"evaluations": min(TRIAL_RUNS, first)})}
-    )
-    design = Design.of(replace(study, analysis=few))
-    names, rows = input_rows(design.points(4))
-    with Model(design.judged, threads=1) as model:  # compiles the integrator, once
-        model.evaluate(names, rows, design.columns)
-        each = model.seconds_per_row
-    began = time.monotonic()
-    with one_thread(), Model(design.judged) as model:
-        tables = grow(design, model, seconds=budget.time)
-        _, tables = judge(model, tables, began + budget.time)
-    took = time.monotonic() - began
-    runs, error = tables.reached[-1]
-    error = max(error, 1.0)
-    # the error falls with the runs n as n^(-3/4) or faster
-    needed = min(max(runs * error ** (4.0 / 3.0), first), budget.evaluations)
-    seconds = took + needed * each + REPORT_SECONDS
     return (
-        f"{start}: up to about {float(f'{needed:.2g}'):,.0f} in total, "
-        f"{float(f'{seconds:.2g}'):,g} s with analysis and report."
+        f"{start} and doubles the sample until it is accurate: at most {budget.evaluations:,} in "
+        f"{longest:,.0f} s (analysis.budget).{end}"
     )
 
 
