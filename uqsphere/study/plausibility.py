@@ -1,10 +1,9 @@
-"""A study's numbers beside the library's of the material that it names, or of the class of its
-sphere: a slip of a unit, of two numbers swapped, or of one strength for another is told, and no
-verdict is established by it.
+"""A study's numbers beside the library's of the material that it names, or of brittle solids: a
+slip of a unit, of two numbers swapped, or of one strength for another is told, and no verdict is
+established by it.
 """
 
 import math
-import re
 from collections.abc import Collection
 
 from uqsphere.arrays import frozen
@@ -27,14 +26,6 @@ _NEAR = 1.25
 _MODULI = (1.5, 25.0)
 #: numbers of a material that are held against the library's
 _KEYS = ("E", "nu", "density", "yield_strength", "onset_pressure", "hardness")
-#: words of a title, or of a partner's name, by which a sphere of no named material is of a class,
-#: and of the names of the library's spheres of that class
-_CLASSES = {
-    "rocks": "rock stone ore pellet mineral gravel lump granite gneiss limestone marble sandstone "
-    "basalt quartz quartzite magnetite",
-    "glass": "glass glasses",
-    "ceramics": "ceramic alumina zirconia porcelain",
-}
 #: brittle solids of the library that are not among its spheres
 _BRITTLE = ("pmma", "concrete", "tungsten_carbide")
 #: relative difference of the contact moduli of tests and rig that is told
@@ -46,7 +37,8 @@ def warn_of_slips(draft: Draft) -> None:
     than the rig's.
     """
     likes = {table: like_material(name) for table, name in draft.materials.items()}
-    likes.setdefault("sphere", _class_of(draft))
+    solids = [*materials_of("sphere"), *_BRITTLE]
+    likes.setdefault("sphere", Like(called="brittle solids", materials=solids))
     for table, like in likes.items():
         for key in _KEYS:
             path = f"{table}.{key}"
@@ -61,7 +53,7 @@ def warn_of_slips(draft: Draft) -> None:
 
 @frozen
 class Like:
-    """What a body is held against: one material of the library, or those of a class."""
+    """What a body is held against: one material of the library, or several."""
 
     called: str
     materials: Collection[str]
@@ -83,22 +75,6 @@ class Like:
 def like_material(name: str) -> Like:
     """One material of the library."""
     return Like(called=name, materials={name} & library().keys())
-
-
-def _class_of(draft: Draft) -> Like:
-    """The class of a sphere of no named material, by the study's title and the names of its
-    partners; all brittle solids where neither says.
-    """
-    solids = materials_of("sphere")
-    text = " ".join([draft.document.title, *draft.materials.values()]).lower()
-    words = set(re.findall("[a-z]+", text))
-    words |= {word.removesuffix("s") for word in words}
-    for called, listed in _CLASSES.items():
-        known = set(listed.split())
-        if known & words:
-            named = [name for name in solids if known.intersection(name.split("_"))]
-            return Like(called=called, materials=named)
-    return Like(called="brittle solids", materials=[*solids, *_BRITTLE])
 
 
 def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str = "") -> None:
