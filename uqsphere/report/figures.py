@@ -217,26 +217,6 @@ class Plots:
             raise UsageError(f"the run has no Sobol' indices of {quantity!r}")
         return self._on(ax, draw_indices, columns[0])
 
-    def expansion(self, quantity: str, ax: Axes | None = None) -> Axes:
-        """What the polynomial chaos of a quantity predicts, against model runs that it was not
-        fitted to.
-
-        Raises UsageError for a quantity that the run does not contain, or without an expansion.
-        """
-        if not self._entry(quantity).held_out:
-            raise UsageError(f"the run has no polynomial chaos of {quantity!r}")
-        return self._on(ax, draw_expansion, self._results, quantity)
-
-    def convergence(self, ax: Axes | None = None) -> Axes:
-        """The largest error over its tolerance, against model runs.
-
-        Raises UsageError for a run of one size.
-        """
-        sizes = convergence_of(self._results)
-        if sizes.shape[1] < 2:
-            raise UsageError("the run has one size of the sample: there is no convergence to plot")
-        return self._on(ax, draw_convergence, sizes)
-
     def _entry(self, quantity: str) -> QuantityEntry:
         quantities = self._results.study.quantities
         if quantity not in quantities:

@@ -164,7 +164,7 @@ class Run:
 
     @property
     def plot(self) -> Plots:
-        """Plots on matplotlib axes: `density`, `sobol`, `fragility`, `convergence`."""
+        """Plots on matplotlib axes: `fragility`, `density`, `sobol`."""
         from uqsphere.report.figures import Plots
 
         return Plots(self.results)
