@@ -387,7 +387,7 @@ case("analysis.quantities", "granite", 'analysis.quantities=["p_max"]')
 case("analysis.accuracy", "box", "analysis.accuracy.quantile=1e-3")
 case("analysis.budget", "granite", "analysis.budget.evaluations=3000")
 case("analysis.quantiles", "box", "analysis.quantiles=[0.5]")
-for measure in ("morris", "delta", "pawn", "hdmr"):
+for measure in ("morris", "delta", "pawn"):
     case("analysis.measures", "box", f'analysis.measures=["{measure}"]')
 case("analysis.second_order", "box", "analysis.second_order=true")
 case("analysis.failure_modes", "granite", "analysis.failure_modes=given")

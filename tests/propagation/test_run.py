@@ -921,7 +921,7 @@ def test_salib_goes_on_with_a_runs_pairs_and_its_measures_are_asked_for_by_name(
         return {"y": np.abs(x["a"]) + 0.5 * np.abs(x["a"] + x["b"]) + 0.2 * x["c"]}
 
     normal = {"dist": "normal", "mean": 0.0, "sd": 1.0}
-    measures = ("morris", "delta", "pawn", "hdmr")
+    measures = ("morris", "delta", "pawn")
     accuracy = {"mean": 0.02, "quantile": 0.1, "sobol": 0.02}
     study = Study(
         inputs=dict.fromkeys("abc", normal),

@@ -412,7 +412,7 @@ CASES = [
         "a measure of later",
         "quantiles = [0.05, 0.5]",
         'measures = ["active"]',
-        "must be 'morris', 'delta', 'pawn' or 'hdmr'",
+        "must be 'morris', 'delta' or 'pawn'",
     ),
     one("a quantile of two", "[0.05, 0.5]", "[0.05, 2]", "quantiles[1]", "must be a fraction"),
     one(

@@ -157,7 +157,7 @@ def test_indices_of_constant_outputs_are_absent() -> None:
     assert all(e.value is None and e.reason == "the output does not vary" for e in every)
 
 
-@pytest.mark.parametrize("method", ["morris", "delta", "pawn", "hdmr"])
+@pytest.mark.parametrize("method", ["morris", "delta", "pawn"])
 def test_salibs_measures_order_the_inputs(method: str) -> None:
     joint = make_joint(dict.fromkeys("abc", NORMAL), ())
     uniforms = np.random.default_rng(3).random((1024, 3))

@@ -152,7 +152,6 @@ class Kind(StrEnum):
     MORRIS = "morris", "quantity", "Morris: mean absolute elementary effect", "input", OF_QUANTITY
     DELTA = "delta", "quantity", "Borgonovo's delta", "input", "1"
     PAWN = "pawn", "quantity", "PAWN: median Kolmogorov-Smirnov distance", "input", "1"
-    HDMR = "hdmr", "quantity", "total index by RS-HDMR", "input", "1"
     ERROR = "error", "run", "largest error / tolerance", "model runs", "1"
 
 

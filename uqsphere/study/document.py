@@ -354,9 +354,8 @@ class Analysis(TomlTable):
     """upper limits: `{ evaluations = 2_000_000, time = "10 min" }`"""
     quantiles: Shares = (0.01, 0.05, 0.5, 0.95, 0.99)
     """probabilities of the quantiles"""
-    measures: Annotated[tuple[Literal["morris", "delta", "pawn", "hdmr"], ...], *_several()] = ()
-    """sensitivity measures of SALib in addition to Sobol' indices: `morris`, `delta`, `pawn`,
-    `hdmr`"""
+    measures: Annotated[tuple[Literal["morris", "delta", "pawn"], ...], *_several()] = ()
+    """sensitivity measures of SALib in addition to Sobol' indices: `morris`, `delta`, `pawn`"""
     second_order: bool = False
     """also Sobol' indices of all pairs of inputs"""
     failure_modes: Literal["all", "given"] = "all"

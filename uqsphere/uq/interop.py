@@ -141,7 +141,7 @@ def to_salib(
 
 
 #: methods of SALib that a study may name
-SALIB_METHODS = ("morris", "delta", "pawn", "hdmr")
+SALIB_METHODS = ("morris", "delta", "pawn")
 
 
 def morris_rows(inputs: Joint, count: int, *, seed: int) -> Pair:
@@ -166,8 +166,8 @@ def salib_measures(
     """SALib's measure of every input from uniform rows (n, d) and outputs (n,).
 
     mu* of Morris, from rows of `morris_rows`, has the interval of the independent trajectories by
-    Student's law; for delta, the median of PAWN and the total index of HDMR nobody knows one that
-    covers (delta of an input that does nothing comes out at 0.065), and they have none.
+    Student's law; for delta and the median of PAWN nobody knows one that covers (delta of an input
+    that does nothing comes out at 0.065), and they have none.
     """
     shown = f"SALib {method}"
     d = len(names)
@@ -182,7 +182,7 @@ def salib_measures(
         rises = np.diff(outputs.reshape(-1, d + 1), axis=1)
         effects = np.abs((rises[:, :, None] / np.where(steps == 0.0, np.inf, steps)).sum(axis=1))
         return [from_replicates(column, f"{shown}, mu*", outputs.size) for column in effects.T]
-    from SALib.analyze import delta, enhanced_hdmr, pawn
+    from SALib.analyze import delta, pawn
 
     problem = _unit_problem(names)
     seed = seed or 1  # SALib takes 0 for no seed
@@ -190,13 +190,8 @@ def salib_measures(
     if method == "delta":
         answers = delta.analyze(problem, uniforms, y, num_resamples=2, seed=seed)
         measures = answers.get("delta", answers.get("delta_balanced"))
-    elif method == "pawn":
-        measures = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
     else:
-        # one bootstrap of all rows is the sample itself
-        measures = enhanced_hdmr.analyze(
-            problem, uniforms, y, max_order=min(2, d), bootstrap=1, subset=len(y), seed=seed
-        )["ST"][:d]
+        measures = pawn.analyze(problem, uniforms, y, S=10, seed=seed)["median"]
     # the measure alone: no interval is known
     return [
         Estimate(value=float(value), method=shown, evaluations=outputs.size) for value in measures
