@@ -23,7 +23,7 @@ from uqsphere.uq import Law
 from uqsphere.uq.fitting import modulus_of
 
 from .document import LimitTable
-from .plausibility import like_material
+from .plausibility import range_of
 from .study import DEFAULT_TARGET, Draft, Limit
 from .values import (
     FARTHEST_SIZE,
@@ -396,7 +396,7 @@ def _warn_of_units(
     diameter = columns["diameter"]
     across = 2.0 * draft.mean("sphere.radius")
     # around the tensile strength of the material
-    low, high, _ = like_material(draft.materials.get("sphere", "")).range_of("tensile_strength")
+    low, high, _ = range_of(draft.materials.get("sphere", ""), "tensile_strength")
     if math.isnan(low):
         low, high = _TENSION
     low, high = low / _FAR, high * _FAR

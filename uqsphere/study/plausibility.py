@@ -4,9 +4,7 @@ established by it.
 """
 
 import math
-from collections.abc import Collection
 
-from uqsphere.arrays import frozen
 from uqsphere.materials import PROPERTIES, library, materials_of
 from uqsphere.mechanics.contact import reduced_modulus
 from uqsphere.mechanics.failure_modes import FAILURE_MODES, failure_place
@@ -26,7 +24,8 @@ _NEAR = 1.25
 _MODULI = (1.5, 25.0)
 #: numbers of a material that are held against the library's
 _KEYS = ("E", "nu", "density", "yield_strength", "onset_pressure", "hardness")
-#: brittle solids of the library that are not among its spheres
+#: what a sphere of no named material is held against: the library's spheres, and others
+SOLIDS = "brittle solids"
 _BRITTLE = ("pmma", "concrete", "tungsten_carbide")
 #: relative difference of the contact moduli of tests and rig that is told
 _STIFFER = 0.05
@@ -36,14 +35,12 @@ def warn_of_slips(draft: Draft) -> None:
     """Warn of numbers and strengths far from the library's, and of tests between other partners
     than the rig's.
     """
-    likes = {table: like_material(name) for table, name in draft.materials.items()}
-    solids = [*materials_of("sphere"), *_BRITTLE]
-    likes.setdefault("sphere", Like(called="brittle solids", materials=solids))
+    likes = {"sphere": SOLIDS, **draft.materials}
     for table, like in likes.items():
         for key in _KEYS:
             path = f"{table}.{key}"
             with draft.within(path):
-                _compare(draft, path, draft.mean(path), like.range_of(key))
+                _compare(draft, path, draft.mean(path), range_of(like, key))
     for limit in draft.limits.values():
         with draft.within("limits", limit.name, "strength"):
             _warn_of_partners(draft, limit)
@@ -51,30 +48,21 @@ def warn_of_slips(draft: Draft) -> None:
                 _warn_of_strength(draft, limit, likes["sphere"])
 
 
-@frozen
-class Like:
-    """What a body is held against: one material of the library, or several."""
-
-    called: str
-    materials: Collection[str]
-
-    def range_of(self, key: str, diameter: float = math.inf) -> Range:
-        """The range of a property, of particles of a diameter [m] by its size law; NaN where the
-        library has none.
-        """
-        ends = []
-        for name in self.materials:
-            entry = library()[name].properties.get(key)
-            if entry:
-                size = entry.further.get("size", 0.0)
-                factor = 1.0 + (size / diameter) ** entry.further.get("exponent", 1.0)
-                ends += [factor * end for end in entry.range or (entry.value,)]
-        return min(ends, default=math.nan), max(ends, default=math.nan), self.called
-
-
-def like_material(name: str) -> Like:
-    """One material of the library."""
-    return Like(called=name, materials={name} & library().keys())
+def range_of(name: str, key: str, diameter: float = math.inf) -> Range:
+    """The range of a property of a material of the library, or of brittle solids, for particles of
+    a diameter [m] by its size law; NaN where the library has none.
+    """
+    names = {name} & library().keys()
+    if name == SOLIDS:
+        names = {*materials_of("sphere"), *_BRITTLE}
+    ends = []
+    for material in names:
+        entry = library()[material].properties.get(key)
+        if entry:
+            size = entry.further.get("size", 0.0)
+            factor = 1.0 + (size / diameter) ** entry.further.get("exponent", 1.0)
+            ends += [factor * end for end in entry.range or (entry.value,)]
+    return min(ends, default=math.nan), max(ends, default=math.nan), name
 
 
 def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str = "") -> None:
@@ -95,7 +83,7 @@ def _compare(draft: Draft, quantity: str, value: float, usual: Range, hint: str 
         draft.warn(f"{text} is unusual for {solids} (library: {span})")
 
 
-def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
+def _warn_of_strength(draft: Draft, limit: Limit, like: str) -> None:
     """Warn of a strength, not of tests, of a modulus that is unusual, or more than a factor off the
     library's for the same mode.
     """
@@ -117,7 +105,7 @@ def _warn_of_strength(draft: Draft, limit: Limit, like: Like) -> None:
     if mode.strength == "tensile_strength":
         hint = ". Is it a compressive strength? Enter the tensile one, commonly a tenth of it"
     strength = draft.mean(limit.strength_name)
-    _compare(draft, limit.quantity, strength, like.range_of(mode.strength, diameter), hint)
+    _compare(draft, limit.quantity, strength, range_of(like, mode.strength, diameter), hint)
 
 
 def _warn_of_partners(draft: Draft, limit: Limit) -> None:
