@@ -355,7 +355,9 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
         Doubt(code="computation", margin=0.66, **ends),
         Doubt(code="tests", margin=0.404, tests=20, **ends),
     ]
-    results = granite.model_copy(update={"decisions": [decision(doubts=doubts)]})
+    use = used(0.404).model_copy(update={"best": Range(value=0.66, low=0.404, high=0.661)})
+    judged = decision(doubts=doubts, use=use)
+    results = granite.model_copy(update={"decisions": [judged]})
     table = limits(results)
     assert table is not None
     # other modes are judged with it: they have one number together
@@ -364,6 +366,10 @@ def test_a_row_has_the_conservative_end_of_its_doubts(granite: Results) -> None:
     table = limits(alone)
     assert table is not None
     assert table.rows[0][4:6] == ("0.4 m/s", "0.4 m/s to 0.661 m/s")
+    # none, though each doubt has a margin: the plan contradicts the curve
+    none = judged.model_copy(update={"use": None})
+    table = limits(alone.model_copy(update={"decisions": [none]}))
+    assert table.rows[0][4:6] == ("–", "–")
 
 
 def test_the_tail_that_decides_is_the_upper_one_to_break(granite: Results) -> None:

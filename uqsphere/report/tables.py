@@ -54,12 +54,12 @@ from .sentences import (
 Row = Sequence[str]
 #: rows of a table, and of a table of inputs
 MOST_ROWS, MOST_INPUTS = 16, 40
-#: the text of a doubt without a margin
+#: the text of a doubt without a margin, of several the first
 _WITHOUT_MARGIN: dict[MarginNote, str] = {
-    "everywhere": "whole range",
     "nowhere": "none",
     "too few rows": "not known",
     "": DASH,
+    "everywhere": "whole range",
 }
 
 
@@ -173,6 +173,7 @@ def limits(results: Results) -> PageTable:
         )
     rows = list[Row]()
     aims = [entry.aim for entry in entries.values()]
+    decisions = {decision.aim: decision for decision in results.decisions}
     for subject, entry in entries.items():
         p = probability(results.get(subject, Kind.EXCEEDANCE_PROBABILITY))
         beta = results.get(subject, Kind.RELIABILITY_INDEX)
@@ -180,12 +181,11 @@ def limits(results: Results) -> PageTable:
         if beta.value is not None:
             cells[2] = f"{beta.value:.2f}"
         if free:
-            best = DASH
-            if entry.aim in {decision.aim for decision in results.decisions}:
-                best = _best_estimate(results, subject, entry, free)
-            cells.append(best)
-            alone = aims.count(entry.aim) == 1
-            cells += _number_to_use(results, subject) if alone else ["", ""]
+            cells += [DASH, "", ""]
+            if entry.aim in decisions:
+                cells[3] = _best_estimate(results, subject, entry, free)
+                if aims.count(entry.aim) == 1:
+                    cells[4:] = _number_to_use(results, decisions[entry.aim])
         strength = f"{meaning(entry.quantity)}: {entry.strength.text}"
         rows.append((*cells, strength, _strength_source(entry)))
     for decision in results.decisions:
@@ -224,29 +224,15 @@ def _best_estimate(results: Results, subject: str, entry: LimitEntry, free: Free
     return f"outside {value(free.low, free.quantity)} to {value(free.high, free.quantity)}"
 
 
-def _number_to_use(results: Results, subject: str) -> list[str]:
-    """The free number at the target by the doubts of a limit: its conservative end, and its range
-    with the best estimate.
-    """
-    for decision in results.decisions:
-        doubts = [doubt for doubt in decision.doubts if doubt.subject == subject]
-        margins = [doubt.margin for doubt in doubts if doubt.margin is not None]
-        notes = {doubt.margin_note for doubt in doubts}
-        if "nowhere" in notes:
-            return ["none", DASH]
-        if "too few rows" in notes:
-            return ["not known", DASH]
-        if margins:
-            worst = max if decision.safe_above else min
-            text = DecisionText(results, decision)
-            use = text.number(worst(margins))
-            best = results.get(subject, Kind.MARGIN, results.entries[subject].allowable).value
-            if best is not None:
-                margins.append(best)
-            return [use, text.span(min(margins), max(margins))]
-        if "everywhere" in notes:
-            return ["whole range", DASH]
-    return [DASH, DASH]
+def _number_to_use(results: Results, decision: Decision) -> list[str]:
+    """The number to use of a decision, and its range; or why there is none."""
+    use = decision.use
+    if use:
+        text = DecisionText(results, decision)
+        return [text.number(use.value), text.span(use.best.low, use.best.high)]
+    notes = {doubt.margin_note for doubt in decision.doubts}
+    told = next((text for note, text in _WITHOUT_MARGIN.items() if note in notes), DASH)
+    return [told, DASH]
 
 
 def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
