@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from uqsphere.arrays import Array, Duo, Function, Pair, Places, Values, frozen, quiet
-from uqsphere.errors import UsageError
 
 from . import contact
 from .field import (
@@ -33,7 +32,6 @@ from .roots import bisect
 from .scene import Scene
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 #: an approach above this many tolerances of the largest counts as contact, as in the integrator
@@ -123,14 +121,6 @@ class History:
         return DataFrame(
             {f"{name} [{unit}]": getattr(self, name) for name, unit in COLUMN_UNITS.items()}
         )
-
-    def plot(self, what: str = "force", ax: Axes | None = None) -> Axes:
-        """Plot the columns whose names begin with `what` (force, pressure, approach, velocity)."""
-        frame = self.to_frame()
-        shown = [name for name in frame.columns if name.startswith(what) and name != "time [s]"]
-        if not shown:
-            raise UsageError(f"what must be force, pressure, approach or velocity, not {what!r}")
-        return frame.plot(x="time [s]", y=shown, ax=ax)
 
     def pressure_over_contact(self, distance: Values, face: str = "A") -> Values:
         """p(R, t) [Pa] at distances R (k,) [m] from the contact centre, (m, k); theory (16)."""

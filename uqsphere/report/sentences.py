@@ -189,6 +189,9 @@ class DecisionText:
                     )
         if remedy.code == "widen the range" and self._kept_everywhere:
             return "Widen margins.between to find where the target is missed."
+        entry = self.results.entries.get(remedy.subject)
+        if remedy.code == "change the plan" and entry and not entry.tests:
+            return f"Change the planned value or the target, or measure the strength of {subject}."
         tail = "upper" if decision.aim == "break" else "lower"
         strengths = {mode.name: mode.strength.replace("_", " ") for mode in FAILURE_MODES.values()}
         way = ""
@@ -217,9 +220,6 @@ class DecisionText:
             text += f"; the number to use would then be {self.number(remedy.at_best)} at best"
             if remedy.code == "measure the strength":
                 text += f", if {subject} never fails"
-        entry = self.results.entries.get(remedy.subject)
-        if remedy.code == "change the plan" and entry and not entry.tests:
-            text = f"Change the planned value or the target, or measure the strength of {subject}"
         return f"{text}."
 
     @property

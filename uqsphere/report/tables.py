@@ -250,10 +250,9 @@ def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:
             together = all_together(decision)
             p = probability(joint_event(decision))
         best = value(use.best.value, free.quantity)
-        span = text.span(use.best.low, use.best.high)
         if len(results.decisions) > 1:
             together += f", to {decision.aim}"
-        yield together, p, "", best, text.number(use.value), span, "", ""
+        yield together, p, "", best, *_number_to_use(results, decision), "", ""
 
 
 def _strength_source(entry: LimitEntry) -> str:
