@@ -2,7 +2,7 @@
 
 Each mutant must be accepted or refused with a message: exit code 0, 2 or 3, no traceback, no
 internal error, and at most `MOST` seconds of CPU.  Run by `python -m tests.campaigns.fuzz [COUNT]
-[SEED] [1]`, the 1 for the trial run that tells the cost; prints the mutants that failed, with their
+[SEED] [1]`, the 1 for the rows that `check` times; prints the mutants that failed, with their
 seeds, and a table of codes.
 """
 
@@ -444,7 +444,7 @@ def tried(seed: int, folder: Path) -> tuple[object, float, str]:
 def campaign(
     count: int, first: int = 0, *, trial: bool = False
 ) -> tuple[Counter[object], list[str]]:
-    """Codes of mutants by their number, and what failed; `trial`: with the run for the cost."""
+    """Codes of mutants by their number, and what failed; `trial`: with the rows for its time."""
     codes: Counter[object] = Counter()
     failures = []
     with (
