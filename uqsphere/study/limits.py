@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from uqsphere.arrays import Array, Duo
+from uqsphere.arrays import Array, Duo, Places
 from uqsphere.documents import Fault, declared, one_of, suggestion, unknown, within
 from uqsphere.materials import materials_of
 from uqsphere.mechanics.contact import reduced_modulus
@@ -71,6 +71,8 @@ _CONTACT = (3e7, 1e11)
 _TENSION, _FAR = (4e6, 2.5e7), 20.0
 #: units that a file of tests may have been in
 _LENGTHS, _FORCES = ("um", "mm", "cm", "m"), ("N", "kN", "MN")
+#: 0.9 P/D² of a test over the median, or the other way round, above which its unit is asked about
+_SLIP = 300.0
 _FACTOR = Quantity(name="model_factor", meaning="the model factor", plausible=(0.5, 2.0))
 
 
@@ -255,8 +257,7 @@ def _tested(draft: Draft, table: Observations, limit: Limit) -> Number:
     force = columns["force"]
     diameter = columns["diameter"]
     rate = columns.get("rate", 0.0)
-    tension = 0.9 * force / np.square(diameter)
-    _warn_of_units(table, cells, columns, float(np.median(tension)), draft)
+    tension = _warn_of_slips(table, cells, lines, columns, draft)
     warn_of_rows(table, cells, lines, tension, stopped, draft)
 
     power = _POWERS.get(demand, 2.0)
@@ -386,11 +387,12 @@ def compare_sizes(
         draft.warn(f"{sizes}: the strength is {scaling}", key)
 
 
-def _warn_of_units(
-    table: Observations, cells: Table, columns: Mapping[str, Array], typical: float, draft: Draft
-) -> None:
-    """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual;
-    typical : the median of 0.9 P/D² [Pa].
+def _warn_of_slips(
+    table: Observations, cells: Table, lines: Places, columns: Mapping[str, Array], draft: Draft
+) -> Array:
+    """Warn of forces [N] and diameters [m] that no sphere has, with what would make them usual.
+
+    Returns 0.9 P/D² [Pa] of every test (n,), that of a test of which a slip is told at the median.
     """
     force = columns["force"]
     diameter = columns["diameter"]
@@ -407,9 +409,21 @@ def _warn_of_units(
 
     of_force = cells.units["force"]
     of_length = cells.units.get("diameter", math.nan)
+    tension: Array = 0.9 * force / np.square(diameter)
+    typical = np.median(tension)
     far = np.abs(np.log(diameter / across)) > math.log(3.0)
+    slips = np.abs(np.log(tension / typical)) > math.log(_SLIP)
     key = "force"
-    if far.any():
+    likely = []
+    if slips.any():
+        first = np.argmax(slips)
+        ratios = {
+            key: columns[key][first] / np.median(columns[key]) for key in ("force", "diameter")
+        }
+        key = max(ratios, key=lambda key: abs(math.log(ratios[key])))
+        text = f"line {lines[first]}: the {key} is {ratios[key]:,.4g} times the median"
+        tension[slips] = typical
+    elif far.any():
         key = "diameter"
         text = (
             f"{far.sum()} of {len(far)} diameters differ from the sphere's by more than a factor "
@@ -417,7 +431,7 @@ def _warn_of_units(
         )
         likely = [u for u in _LENGTHS if is_usual(force, diameter * UNITS["length"][u] / of_length)]
     elif low <= typical <= high:
-        return
+        return tension
     else:
         text = (
             f"0.9 P/D² is {1e-6 * typical:,.3g} MPa, usual are {1e-6 * low:g} to {1e-6 * high:g} "
@@ -428,6 +442,7 @@ def _warn_of_units(
     if is_usual(diameter * (of_force / of_length), force * (of_length / of_force)):
         hint = "are the columns of force and diameter swapped?"
     draft.warn(f"{table.file}: {text}: {hint}", key, holds="unit")
+    return tension
 
 
 # --- the sphere in the tests ----------------------------------------------------------------------

@@ -560,8 +560,8 @@ def fit(
 def warn_of_rows(
     table: Observations, cells: Table, lines: Places, x: Array, stopped: Flags, draft: "Draft"
 ) -> None:
-    """Warn of what the reader notes, of few observations (n,) that stand in `lines`, a shape of no
-    fit; and of outliers and a modulus that they contradict, which hold the verdict.
+    """Warn of what the reader notes, of few observations (n,) that stand in `lines`, outliers, a
+    shape of no fit; and of a modulus that they contradict, which holds the verdict.
     """
     notes = list(cells.notes)
     far = [
@@ -569,11 +569,9 @@ def warn_of_rows(
         for k, ratio in outliers(x, ~stopped).items()
     ]
     if far:
-        draft.warn(
-            f"{cells.name}: {', '.join(far[:5])}: far from the other rows. Is the decimal point or "
-            "the unit right?",
-            "file",
-            holds="unit",
+        notes.append(
+            f"{cells.name}: {', '.join(far[:5])}: far from the other rows. Is the decimal point "
+            "right?"
         )
     if (~stopped).sum() >= 6:
         with suppress(ValueError):
