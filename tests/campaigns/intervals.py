@@ -380,7 +380,9 @@ def response(model: CoverageModel, seed: int, n: int) -> Iterator[Hit]:
         ]
     )
     table = made.table(germ_points(ndtri(many), model.germs).reshape(16, 1024, -1))
-    found = Corrected(response=made, table=table).describe(tuple(model.quantiles))
+    found = Corrected(response=made, table=table, lost=np.empty((8, 0))).describe(
+        tuple(model.quantiles)
+    )
     yield hit(model.name, "mean", n, found.mean, model.mean, model.sd)
     yield hit(model.name, "sd", n, found.sd, model.sd, model.sd)
     for p, truth in model.quantiles.items():

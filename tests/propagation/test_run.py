@@ -803,11 +803,52 @@ def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None
     assert "93.5 % of rows that answered" in notes["method"]["mean"]
     assert "93.5 % of rows that answered" in notes["method"]["failure_probability"]
     assert "lie apart" in notes["note"]["sobol_first"]
-    # rows that fail here and there: every answer says that it is extrapolated for them
+    # rows that fail here and there: what they leave is of the others, and parts of the variance say
+    # that they are extrapolated
     answered = np.random.default_rng(1).permutation(200) >= 13
     run = uqsphere.analyse(loose, rows.assign(y=linear(rows)["y"].where(answered)))
     assert run.sobol("y")["method"]["a"].endswith("the 93.5 % of rows that answered")
-    assert "extrapolated for the 6.5 %" in run.probability("high")["method"]
+    notes = run.answers.drop_duplicates("answer").set_index("answer")["note"]
+    assert notes["failure_probability"] == notes["mean"] == "of the model runs that answered"
+    assert notes["sobol_first"].endswith("extrapolated for the others")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_few_rows_leave_that_fail_where_the_output_is_large_is_of_the_others(
+    seed: int,
+) -> None:
+    def large_fails(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        y = np.exp(0.6 * x["a"] + 0.3 * x["b"])
+        return np.where(y > 3.5, np.nan, y)
+
+    law = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    slow = Study(
+        inputs={"a": law, "b": law},
+        outputs="y",
+        seed=seed,
+        limits={"high": {"quantity": "y", "strength": 2.5, "aim": "survive"}},
+        analysis={
+            "quantiles": [0.05, 0.95],
+            "cost": "10 s",
+            "budget": {"evaluations": 64, "time": "1 h"},
+            "on_failure": "20 %",
+        },
+    )
+    run = uqsphere.run(slow, lambda x: {"y": large_fails(x)})
+    a, b = stats.norm.ppf(stats.qmc.Sobol(2, seed=1).random_base2(16)).T
+    y = large_fails({"a": a, "b": b})
+    answered = y[np.isfinite(y)]
+    truths = {
+        "mean": answered.mean(),
+        "sd": answered.std(),
+        "failure_probability": (answered > 2.5).mean(),
+    }
+    for row in run.answers.itertuples():
+        if row.answer in truths:
+            assert "chaos" in row.method
+            assert row.low < truths[row.answer] < row.high
+        elif row.answer == "quantile":
+            assert row.low < np.quantile(answered, float(row.at)) < row.high
 
 
 def test_a_budget_too_small_for_any_answer_is_refused() -> None:

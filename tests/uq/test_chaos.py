@@ -258,7 +258,7 @@ def corrected(response: Response, seed: int) -> Corrected:
         sobol_points(dimension=d, count=512, seed=seed, task="many", replicate=r) for r in range(16)
     ]
     points = germ_points(ndtri(np.concatenate(many)), response.germs).reshape(16, 512, -1)
-    return Corrected(response=response, table=response.table(points))
+    return Corrected(response=response, table=response.table(points), lost=np.empty((8, 0)))
 
 
 @pytest.mark.slow
@@ -309,6 +309,7 @@ def test_a_far_event_that_no_row_shows_is_said_and_not_held() -> None:
     beyond = answers.probability(
         rows=(response.outputs > 30.0) * 1.0,
         left_out=(response.levels > 30.0) * 1.0,
+        lost=np.empty(0),
         table=lambda residual: (answers.table + residual > 30.0) * 1.0,
     )
     assert beyond.value is None
@@ -376,6 +377,7 @@ def test_a_probability_is_not_exact_where_no_row_changes_sides() -> None:
         found = answers.probability(
             rows=(response.outputs > threshold) * 1.0,
             left_out=(response.levels > threshold) * 1.0,
+            lost=np.empty(0),
             table=lambda residual, a=answers: (a.table + residual > threshold) * 1.0,
         )
         widths.append(found.half_width)

@@ -243,14 +243,14 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     themselves, in blocks that stand for replicates, where a column is too rough for its expansions,
     or where these would extrapolate into a region in which the model fails.
     """
-    dropped = 0
     apart = False
     every = rows
+    lost = rows.head(0)
     if design.analysis.policy == "drop" and rows.failed.any():
         failed = rows.failed[0]
         inputs = rows.scores[0, :, : len(design.inputs)]
         apart = lie_apart(inputs[failed], inputs[~failed])
-        dropped = int(failed.sum())
+        lost = rows.where(failed)
         rows = rows.where(~failed)
     responses = {}
     plain = np.isfinite(rows.answers).all() and not rows.censored.any()
@@ -260,6 +260,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     predicted = None
     if responses and all(response.usable for response in responses.values()):
         predicted, sample = _with_predictions(design, design.points(POINTS), responses)
+        lost = _in_folds(design, lost, responses)
     else:
         counts = [k for k in (8, 4, 2) if rows.count >= 2 * k]
         if not counts:
@@ -275,7 +276,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
         responses=responses,
         sample=sample,
         predicted=predicted,
-        dropped=dropped,
+        lost=lost,
     )
 
 
@@ -303,6 +304,14 @@ def _with_predictions(
     scattered = map(Response.scattered, responses.values(), values)
     plain, moved = (np.stack([*columns], axis=2) for columns in (values, scattered))
     return points.with_answers([*responses], plain), points.with_answers([*responses], moved)
+
+
+def _in_folds(design: Design, rows: Sample, responses: Mapping[str, Response]) -> Sample:
+    """Rows (1, n) with the predictions of every expansion (folds, n)."""
+    points = points_of(design, rows.scores[0])
+    values = [[fold.values(points) for fold in each.folds] for each in responses.values()]
+    places = (np.repeat(part, FOLDS, axis=0) for part in (rows.scores, rows.inputs))
+    return Sample.at(rows.names, *places).with_answers([*responses], np.stack(values, axis=2))
 
 
 def _compared(rows: Sample, responses: Sequence[Response]) -> Sample:

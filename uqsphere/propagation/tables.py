@@ -38,16 +38,15 @@ TOO_FEW = f"fewer than {FEW:.0f} effective samples contribute to it"
 ROUGH = "runs of the model"
 #: what answers are of where model runs failed
 OF_ANSWERED = "of the model runs that answered"
-#: answers whose ends can allow for model runs that failed, whatever these would have been: they are
-#: probabilities, or are read off those
-OF_ALL = {
+#: probabilities, and what is read off them
+READ_OFF = {
     Kind.EXCEEDANCE_PROBABILITY,
     Kind.FAILURE_PROBABILITY,
     Kind.RELIABILITY_INDEX,
     Kind.QUANTILE,
-    Kind.CURVE,
-    Kind.MARGIN,
 }
+#: answers whose ends can allow for model runs that failed, whatever these would have been
+OF_ALL = READ_OFF | {Kind.CURVE, Kind.MARGIN}
 
 
 class Accuracy(NamedTuple):
@@ -313,18 +312,23 @@ class Slow(Tables):
     responses : the expansions by quantity; none where a row has no plain values
     predicted : (R, m) predictions of all columns at points of the law; None where the expansions of
         a column are too rough
-    dropped : rows that failed and were left out
+    lost : rows that failed and were left out (K, l), with what each expansion predicts for them
     """
 
     evaluated: Sample
     responses: Mapping[str, Response]
     predicted: Sample | None
-    dropped: int
+    lost: Sample
 
     @property
     def rows(self) -> Sample:
         """The model's own rows."""
         return self.evaluated
+
+    @property
+    def dropped(self) -> int:
+        """How many rows were left out."""
+        return self.lost.count
 
     @cached_property
     def failed(self) -> float:
@@ -339,7 +343,7 @@ class Slow(Tables):
     def noted(self, answer: Kind) -> str:
         """What an answer is of where model runs failed."""
         note = super().noted(answer)
-        if note and self.predicted:
+        if note and self.predicted and answer not in READ_OFF | {Kind.MEAN, Kind.SD}:
             note += ", extrapolated for the others"
         return note
 
@@ -350,7 +354,7 @@ class Slow(Tables):
         return Corrected(
             response=self.responses[name],
             table=self.predicted.answer(name),
-            failed=self.dropped,
+            lost=self.lost.answer(name),
         )
 
     def describe(self, name: str) -> Description:
@@ -402,6 +406,7 @@ class Slow(Tables):
         return corrected.probability(
             rows=chance(self.rows)[0],
             left_out=moved(self.rows, corrected.response.levels)[0],
+            lost=chance(self.lost).mean(axis=0),
             table=lambda residual: moved(predicted, corrected.table + residual),
         )
 

@@ -17,7 +17,13 @@ and from the points and the folds of the table.
     index        (2 r P_j - S_j ((y - m)^2 - (f - m)^2))/V,    r = y - f
 
 Where no row changes sides of t, its variance is not zero: it is at least E|1(f + r <= t) - 1(f <=
-t)|, the share of the law that residuals r like those of the rows would move across t.
+t)|, the share of the law that residuals r like those of the rows would move across t.  Nor is that
+of rows that failed where all of them are on one side: it is at least P (1 - P).
+
+Answers are of the rows that answer.  Where m rows of n + m fail, E_table has those like them as
+well: each of these counts with what expansions predict there, as one that (1) has to take away.
+
+    E[g(y)] = (E_table[g(f)] - E_all rows[g(f)] + E_all rows[g(y), 0 if failed])/(n/(n + m))   (2)
 
 An event that none of n rows shows, rarer than `count_bound`, about 3/n, is not in (1).
 Probabilities and quantiles have a second interval that allows for it.
@@ -64,25 +70,38 @@ class Corrected:
 
     response : the cross-fitted expansions
     table : (R, m) predictions at points of the law, as of `Response.table`
-    failed : rows that were left out, in place of which are predictions
+    lost : (K, l) predictions of all folds for rows that failed, and were left out
     """
 
     response: Response
     table: Array
-    failed: int = 0
+    lost: Array
 
     @property
     def runs(self) -> int:
         """Rows of the model."""
         return self.response.count
 
-    @cached_property
+    @property
+    def failed(self) -> int:
+        """Rows that were left out."""
+        return len(self.lost.T)
+
+    @property
     def method(self) -> str:
-        text = f"{METHOD}; {unseen(self.runs)}"
-        if self.failed:
-            dropped = self.failed / (self.runs + self.failed)
-            text += f"; extrapolated for the {100.0 * dropped:.3g} % of the runs that failed"
-        return text
+        return f"{METHOD}; {unseen(self.runs)}"
+
+    @property
+    def _odds(self) -> float:
+        return self.failed / self.runs
+
+    def _influences(self, level: Values, influence: Array, lost: Array) -> Array:
+        """What all rows (n + l,) move E_table[g(f)] by, so that their mean makes it the answer of
+        those that answered: by influences (n,) of these, and by g (l,) as predicted for the others.
+        """
+        shift = (influence.sum() + (level - lost).sum()) / self.runs
+        every = np.append(influence, level + shift - lost)
+        return np.asarray(every + (every - every.mean()) * self._odds)
 
     # --- moments ----------------------------------------------------------------------------------
 
@@ -115,9 +134,10 @@ class Corrected:
     def mean(self) -> Estimate:
         """The mean by (1)."""
         levels, sampling = self._table_moment(1)
-        residuals = self.response.residuals
-        corrected = levels.mean() + residuals.mean()
-        ends = _ends(corrected, residuals, sampling)
+        centre = levels.mean()
+        influence = self._influences(centre, self.response.residuals, self.lost.mean(axis=0))
+        corrected = centre + influence.mean()
+        ends = _ends(corrected, influence, sampling)
         return self._estimate(_settled(np.median(levels), corrected, *ends), *ends)
 
     def _estimate(self, value: Values, low: float, high: float) -> Estimate:
@@ -133,9 +153,13 @@ class Corrected:
         outputs = self.response.outputs
         if not np.ptp(outputs):  # nothing but the rounding of a sum
             return self._estimate(0.0, 0.0, 0.0)
-        centre = self._table_moment(1)[0].mean() + self.response.residuals.mean()
+        centre = self._table_moment(1)[0].mean()
+        lost = self.lost.mean(axis=0)
+        centre += self._influences(centre, self.response.residuals, lost).mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
+        lost = ((self.lost - centre) ** 2).mean(axis=0)
+        influence = self._influences(squares.mean(), influence, lost)
         corrected = squares.mean() + influence.mean()
         ends = _ends(corrected, influence, math.hypot(sampling, fold_spread(squares)))
         value = _settled(np.median(squares), corrected, *ends)
@@ -153,13 +177,14 @@ class Corrected:
     # --- probabilities and quantiles --------------------------------------------------------------
 
     def probability(
-        self, *, rows: Array, left_out: Array, table: Callable[[float], Array]
+        self, *, rows: Array, left_out: Array, lost: Array, table: Callable[[float], Array]
     ) -> Estimate:
         """The mean of probabilities g(y) in [0, 1], such as 1(y > t), by (1).
 
         Parameters
         ----------
         rows, left_out : (n,) g of the outputs of all rows, and of their predictions
+        lost : (l,) g of the predictions of rows that failed
         table : g (R, m) of the predictions of the table, where a residual is added to all of them
         """
         predicted = table(0.0)
@@ -168,9 +193,14 @@ class Corrected:
         cell = 0.0
         if np.isin(predicted, (0.0, 1.0)).all():
             cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
+        influence = self._influences(predicted.mean(), rows - left_out, lost)
+        answer = predicted.mean() + influence.mean()
+        expected = weights @ changes + self._odds * answer * (1.0 - answer)
         value, low, high = map(
             float,
-            corrected_probability(predicted.mean(axis=1), rows - left_out, weights @ changes, cell),
+            corrected_probability(
+                predicted.mean(axis=1), influence, expected * (1.0 + self._odds), cell
+            ),
         )
         missed = count_bound(self.runs, self.failed)
         least = max(low - missed, 0.0)
@@ -187,23 +217,24 @@ class Corrected:
         return takes_few_values(np.sort(self.response.outputs))
 
     @cached_property
-    def _predicted(self) -> Pair:
-        """Predictions (R, m) of the table and (n,) of the rows: of an output with few values the
-        nearest of those that a fold has seen.
+    def _predicted(self) -> tuple[Array, Array, Array]:
+        """Predictions (R, m) of the table, (n,) of the rows and (K, l) of those that failed: of an
+        output with few values the nearest of those that a fold has seen.
         """
-        table, levels = self.table.copy(), self.response.levels.copy()
+        table, levels, lost = self.table.copy(), self.response.levels.copy(), self.lost.copy()
         if self._few_values:
             for k in range(FOLDS):
                 left_out = self.response.fold == k
                 values = np.unique(self.response.outputs[~left_out])
                 levels[left_out] = nearest_of(values, values, levels[left_out])
                 table[k::FOLDS] = nearest_of(values, values, table[k::FOLDS])
-        return table, levels
+                lost[k] = nearest_of(values, values, lost[k])
+        return table, levels, lost
 
     @cached_property
     def _distribution(self) -> tuple[Array, Array, Array, Array]:
         """Places (g,), and P(y <= place) with both ends (g,) of its interval, all rising."""
-        predicted, levels = self._predicted
+        predicted, levels, lost = self._predicted
         pooled = np.sort(predicted, axis=None)
         outputs = self.response.outputs
         step = max(len(pooled) // PLACES, 1)
@@ -212,7 +243,7 @@ class Corrected:
         places = np.unique(np.concatenate([pooled[::step], pooled[-1:], ends])) + 0.0  # no -0.0
 
         def below(values: Array, shift: float = 0.0) -> Array:
-            return np.searchsorted(values, places - shift, side="right") / len(values)
+            return np.searchsorted(values, places - shift, side="right") / max(len(values), 1)
 
         expected = sum(
             weight * np.abs(below(pooled, node) - below(pooled))
@@ -222,7 +253,14 @@ class Corrected:
         # rows are many and places too: what they move a place by is counted, not listed
         lower, upper = np.sort(np.sort([outputs, levels], axis=0))
         correction = below(np.sort(outputs)) - below(np.sort(levels))
-        variance = (below(lower) - below(upper) - correction**2) * self.runs / (self.runs - 1)
+        # the rows that failed as in `_influences`; by those that are few, one may be on either side
+        level, of_lost = table.mean(axis=0), below(np.sort(lost, axis=None))
+        correction += self._odds * (level - of_lost)
+        answer = level + correction
+        squares = (1.0 - of_lost) * answer**2 + of_lost * (1.0 - answer) ** 2
+        squares = below(lower) - below(upper) + self._odds * squares
+        variance = (squares - (1.0 + self._odds) * correction**2) * self.runs / (self.runs - 1)
+        expected += self._odds * answer * (1.0 - answer)
         value, low, high = _corrected(
             table,
             correction,
