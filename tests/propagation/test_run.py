@@ -851,6 +851,20 @@ def test_what_few_rows_leave_that_fail_where_the_output_is_large_is_of_the_other
             assert row.low < np.quantile(answered, float(row.at)) < row.high
 
 
+def test_products_of_inputs_over_decades_are_products_to_few_rows() -> None:
+    law = {"dist": "loguniform", "lower": 0.01, "upper": 1.0}
+    slow = Study(
+        inputs=dict.fromkeys("abc", law),
+        outputs="y",
+        analysis={"cost": "10 s", "budget": {"evaluations": 64, "time": "1 h"}},
+    )
+    run = uqsphere.run(slow, lambda x: {"y": x["a"] * x["b"] / x["c"]})
+    mean = 0.99 / math.log(100.0)
+    row = run.answers.set_index("answer").loc["mean"]
+    assert row["low"] < 99.0 / math.log(100.0) * mean**2 < row["high"]
+    assert row["high"] - row["low"] < 1e-6
+
+
 def test_a_budget_too_small_for_any_answer_is_refused() -> None:
     with pytest.raises(UsageError, match="at least"):
         uqsphere.run(study(analysis={"cost": "10 s", "budget": {"evaluations": 5}}), linear)

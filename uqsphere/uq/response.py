@@ -25,7 +25,7 @@ import numpy as np
 
 from uqsphere.arrays import Array, Duo, Places, bundle
 
-from .chaos.basis import Germs, score_of
+from .chaos.basis import Germs, base_of, score_of
 from .chaos.beyond import moments_beyond
 from .chaos.expansion import ROUNDING, Chaos, Integrals, law_points
 from .chaos.fit import constant_fit, fit_chaos, folds_of
@@ -247,7 +247,9 @@ def cross_fit(
             logs = any(fold.fit.log for fold in response.folds)
             doubtful = len(response.trusted) < FOLDS or response.missing > GOOD
             if doubtful and (logs or scores != germs):
-                calmer = _bounded(_fitted(points, y, scores, True))
+                # the exponential of a polynomial runs away in an unbounded score
+                plainly = plain or scores == germs or "normal" in map(base_of, scores)
+                calmer = _bounded(_fitted(points, y, scores, plainly))
                 response = min(response, calmer, key=lambda each: each.missing)
         responses.append(response)
     return responses
