@@ -865,6 +865,29 @@ def test_products_of_inputs_over_decades_are_products_to_few_rows() -> None:
     assert row["high"] - row["low"] < 1e-6
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_an_expansion_leaves_of_one_input_is_seen_where_it_changes_sign_fast(
+    seed: int,
+) -> None:
+    def fifth(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Five steps of the logistic map (R. M. May, Nature 261, 1976, 459)."""
+        z = x["z"]
+        for _ in range(5):
+            z = x["r"] * z * (1.0 - z)
+        return z
+
+    middles = (np.arange(512) + 0.5) / 512
+    y = fifth({"r": 3.3 + 0.6 * middles[:, None], "z": 0.2 + 0.6 * middles})
+    inputs = {
+        "r": {"dist": "uniform", "lower": 3.3, "upper": 3.9},
+        "z": {"dist": "uniform", "lower": 0.2, "upper": 0.8},
+    }
+    run = uqsphere.run(Study(inputs=inputs, outputs="y", seed=seed), lambda x: {"y": fifth(x)})
+    row = run.sobol("y").loc["z"]
+    assert "chaos" in row["method"]
+    assert row["first_low"] < y.mean(axis=0).var() / y.var() < row["first_high"]
+
+
 def test_a_budget_too_small_for_any_answer_is_refused() -> None:
     with pytest.raises(UsageError, match="at least"):
         uqsphere.run(study(analysis={"cost": "10 s", "budget": {"evaluations": 5}}), linear)

@@ -168,11 +168,15 @@ def _explained(points: Array, residuals: Array) -> Array:
     """What each input explains of residuals (R, m) at least and at most, (2, R, d), for germ points
     (R, m, d) of replicates.
     """
-    parts = np.empty((3, *points[:, 0].shape))
+    parts = np.empty((2, *points[:, 0].shape))
     for r, (rows, rest) in enumerate(zip(points, residuals, strict=True)):
         for j, column in enumerate(rows.T):
-            parts[:, r, j] = [part.mean() for part in block_parts(column, rest)]
-    least, squares, neighbours = parts
+            parts[:, r, j] = [part.mean() for part in block_parts(column, rest)[:2]]
+    least, squares = parts
+    # neighbours of one replicate have other inputs far apart, those of two are independent
+    order = np.argsort(points, axis=1, kind="stable")
+    ordered = np.take_along_axis(residuals[:, :, None], order, axis=1)
+    neighbours = (ordered * np.roll(ordered, 1, axis=0)).mean(axis=1)
     larger = neighbours.mean(axis=0) > squares.mean(axis=0)
     return np.stack([least, np.where(larger, neighbours, squares)])
 
