@@ -1090,3 +1090,35 @@ def test_the_interval_of_a_quantile_is_not_the_step_between_two_values() -> None
         if row.answer.value == "quantile":
             assert row.low <= math.sqrt(1.25) * stats.norm.ppf(row.at) <= row.high
             assert row.high - row.low < 0.045
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_curves_of_few_rows_that_fail_where_the_output_is_large_are_of_the_others(
+    seed: int,
+) -> None:
+    def large_fails(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        y = x["v"] * np.exp(0.3 * x["a"] + 0.15 * x["b"])
+        return np.where(y > 4.5, np.nan, y)
+
+    law = {"dist": "normal", "mean": 0.0, "sd": 1.0}
+    slow = Study(
+        inputs={"v": 1.5, "a": law, "b": law},
+        outputs="y",
+        seed=seed,
+        limits={"high": {"quantity": "y", "strength": 3.0, "aim": "survive"}},
+        margins={"solve": "v", "between": [0.5, 3.0], "for_probability": [0.1, 0.3]},
+        analysis={
+            "cost": "10 s",
+            "budget": {"evaluations": 128, "time": "1 h"},
+            "on_failure": "20 %",
+        },
+    )
+    run = uqsphere.run(slow, lambda x: {"y": large_fails(x)})
+    a, b = stats.norm.ppf(stats.qmc.Sobol(2, seed=1).random_base2(16)).T
+    curve = run.answers.query("answer == 'curve'")
+    held = []
+    for row in curve.itertuples():
+        y = large_fails({"v": float(row.at), "a": a, "b": b})
+        held.append(row.low <= (y[np.isfinite(y)] > 3.0).mean() <= row.high)
+    assert np.mean(held) >= 0.9
+    assert "extrapolated" not in curve["note"].iloc[0]

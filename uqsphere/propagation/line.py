@@ -134,32 +134,39 @@ class Line:
         products = residuals[1:] * residuals[:-1]
         # as often of the sign of the neighbour as by chance in one of twenty
         systematic = np.sign(products).mean() > student(math.inf, 0.9) / math.sqrt(len(products))
+        lost = state_of(design, limit, compared.lost)
         near: Places | slice = slice(None)
-        influence = []
-        expected = []
-        cells = []
+        near_lost: Places | slice = slice(None)
+        inner = []
         shifted = []
-        for value, sample in self.samples.items():
+        for mean, (value, sample) in zip(means, self.samples.items(), strict=True):
             factor = design.study.demand_factor(limit, value)
             shift = 0.0
             if compared.values is not None:
-                apart = margins.shares_of(compared.values) - margins.shares_of(np.array(value))
-                near = np.sort(np.argsort(np.abs(apart))[: math.isqrt(len(apart))])
+                near, near_lost = compared.near(value, margins.shares_of)
                 shift = _common_error(products[near[:-1]], systematic)
             observed, *predicted = state.tails(factor)[0][:, near]
-            influence.append(observed - np.mean(predicted, axis=0))
-            expected.append(np.var(predicted, axis=0).mean())
-            # a replicate knows what it counts to one of its rows
-            cells.append(0.0 if isinstance(state.strength, Law) else 1.0 / sample.count)
+            cell = 0.0
+            if not isinstance(state.strength, Law):
+                cell = 1.0 / sample.count  # a replicate knows what it counts to one of its rows
+            missing = lost.tails(factor)[0].mean(axis=0)[near_lost]
+            # where rows fail elsewhere, none here is not known better than half a row
+            failing = max(missing.size, 0.5 * bool(compared.failed))
+            _, *ends = corrected_probability(
+                mean,
+                observed - np.mean(predicted, axis=0),
+                missing,
+                odds=failing / observed.size,
+                expected=float(np.var(predicted, axis=0).mean()),
+                cell=cell,
+            )
+            inner.append(ends)
             there = state_of(design, limit, sample)
             either = [replace(there, demands=there.demands + step) for step in (-shift, shift)]
             shifted.append(0.5 * np.ptp([of.tails(factor)[0].mean() for of in either]))
-        _, *inner = corrected_probability(
-            means.T, np.transpose(influence), np.array(expected), np.array(cells)
-        )
         middle = means.mean(axis=1)
         sides = np.array([[-1.0], [1.0]])
-        away = np.maximum(sides * np.subtract(inner, middle), 0.0)
+        away = np.maximum(sides * (np.transpose(inner) - middle), 0.0)
         away = np.hypot(away, shifted)
         if compared.folds:
             by_folds = [

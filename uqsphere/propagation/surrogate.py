@@ -186,10 +186,7 @@ def tables_of(
     compared = None
     margins = design.study.margins
     if margins is not None and margins.limit is not None and slow.predicted is not None:
-        compared = Compared(
-            sample=_compared(slow.rows, [*slow.responses.values()]),
-            failed=slow.dropped,
-        )
+        compared = Compared(sample=_compared(slow.rows, [*slow.responses.values()]), lost=slow.lost)
     tables: Tables = replace(slow, compared=compared)
     if not along:
         tables = replace(tables, without_line="rows that are given do not vary the free number")
@@ -260,7 +257,7 @@ def _predicted(design: Design, rows: Sample) -> Slow:
     predicted = None
     if responses and all(response.usable for response in responses.values()):
         predicted, sample = _with_predictions(design, design.points(POINTS), responses)
-        lost = _in_folds(design, lost, responses)
+        lost = _in_folds(lost, points_of(design, lost.scores[0]), responses)
     else:
         counts = [k for k in (8, 4, 2) if rows.count >= 2 * k]
         if not counts:
@@ -306,9 +303,8 @@ def _with_predictions(
     return points.with_answers([*responses], plain), points.with_answers([*responses], moved)
 
 
-def _in_folds(design: Design, rows: Sample, responses: Mapping[str, Response]) -> Sample:
-    """Rows (1, n) with the predictions of every expansion (folds, n)."""
-    points = points_of(design, rows.scores[0])
+def _in_folds(rows: Sample, points: Array, responses: Mapping[str, Response]) -> Sample:
+    """Rows (1, n) with the predictions of every expansion (folds, n) at germ points (n, d)."""
     values = [[fold.values(points) for fold in each.folds] for each in responses.values()]
     places = (np.repeat(part, FOLDS, axis=0) for part in (rows.scores, rows.inputs))
     return Sample.at(rows.names, *places).with_answers([*responses], np.stack(values, axis=2))
@@ -384,7 +380,8 @@ def _with_line(tables: Tables, model: Model, count: int) -> Tables:
         sample=_compared(rows.where(good), fits).where(order),
         values=values[good][order],
         folds=[folds[value] for value in line],
-        failed=int((~good).sum()),
+        lost=_in_folds(rows.where(~good), places[~good], responses),
+        lost_values=values[~good],
     )
     return replace(tables, line=line, compared=compared)
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uqsphere.arrays import Array, Places, bundle
+from uqsphere.arrays import Array, Places, Values, bundle
 from uqsphere.errors import TooManyFailures, UsageError
 from uqsphere.models.model import Model
 from uqsphere.models.rows import EvaluatedRows
@@ -38,15 +38,16 @@ TOO_FEW = f"fewer than {FEW:.0f} effective samples contribute to it"
 ROUGH = "runs of the model"
 #: what answers are of where model runs failed
 OF_ANSWERED = "of the model runs that answered"
-#: probabilities, and what is read off them
-READ_OFF = {
+#: answers whose ends can allow for model runs that failed, whatever these would have been: they are
+#: probabilities, or are read off those
+OF_ALL = {
     Kind.EXCEEDANCE_PROBABILITY,
     Kind.FAILURE_PROBABILITY,
     Kind.RELIABILITY_INDEX,
     Kind.QUANTILE,
+    Kind.CURVE,
+    Kind.MARGIN,
 }
-#: answers whose ends can allow for model runs that failed, whatever these would have been
-OF_ALL = READ_OFF | {Kind.CURVE, Kind.MARGIN}
 
 
 class Accuracy(NamedTuple):
@@ -76,13 +77,33 @@ class Compared:
     sample : (1 + J, n) the model's answers, and J equally likely predictions
     values : the free number (n,) of each row, rising; None where it is a strength
     folds : what every expansion predicts along it at the same points, (folds, m) each
-    failed : runs without an answer beside these rows
+    lost, lost_values : the same of rows that failed, as every expansion predicts them, (folds, l)
     """
 
     sample: Sample
     values: Array | None = None
     folds: Sequence[Sample] = ()
-    failed: int
+    lost: Sample
+    lost_values: Array | None = None
+
+    @property
+    def failed(self) -> int:
+        """How many rows failed."""
+        return self.lost.count
+
+    def near(self, value: float, shares: Callable[[Values], Values]) -> tuple[Places, Places]:
+        """Which of the rows, and of those that failed, are the sqrt(n) that are nearest to a value
+        of the free number, in shares of its range.
+        """
+        assert self.values is not None
+        assert self.lost_values is not None
+        apart = [
+            np.abs(shares(values) - shares(value)) for values in (self.values, self.lost_values)
+        ]
+        every = np.sort(np.concatenate(apart))
+        reach = every[math.isqrt(len(every)) - 1]
+        near, lost = (np.flatnonzero(part <= reach) for part in apart)
+        return near, lost
 
 
 def too_few(probability: float, carried_by: float) -> bool:
@@ -343,7 +364,7 @@ class Slow(Tables):
     def noted(self, answer: Kind) -> str:
         """What an answer is of where model runs failed."""
         note = super().noted(answer)
-        if note and self.predicted and answer not in READ_OFF | {Kind.MEAN, Kind.SD}:
+        if note and self.predicted and answer not in OF_ALL | {Kind.MEAN, Kind.SD}:
             note += ", extrapolated for the others"
         return note
 

@@ -95,14 +95,6 @@ class Corrected:
     def _odds(self) -> float:
         return self.failed / self.runs
 
-    def _influences(self, level: Values, influence: Array, lost: Array) -> Array:
-        """What all rows (n + l,) move E_table[g(f)] by, so that their mean makes it the answer of
-        those that answered: by influences (n,) of these, and by g (l,) as predicted for the others.
-        """
-        shift = (influence.sum() + (level - lost).sum()) / self.runs
-        every = np.append(influence, level + shift - lost)
-        return np.asarray(every + (every - every.mean()) * self._odds)
-
     # --- moments ----------------------------------------------------------------------------------
 
     def _table_moment(self, power: int, centre: float = 0.0) -> tuple[Array, float]:
@@ -135,7 +127,7 @@ class Corrected:
         """The mean by (1)."""
         levels, sampling = self._table_moment(1)
         centre = levels.mean()
-        influence = self._influences(centre, self.response.residuals, self.lost.mean(axis=0))
+        influence = of_answered(centre, self.response.residuals, self.lost.mean(axis=0))
         corrected = centre + influence.mean()
         ends = _ends(corrected, influence, sampling)
         return self._estimate(_settled(np.median(levels), corrected, *ends), *ends)
@@ -155,11 +147,11 @@ class Corrected:
             return self._estimate(0.0, 0.0, 0.0)
         centre = self._table_moment(1)[0].mean()
         lost = self.lost.mean(axis=0)
-        centre += self._influences(centre, self.response.residuals, lost).mean()
+        centre += of_answered(centre, self.response.residuals, lost).mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
         lost = ((self.lost - centre) ** 2).mean(axis=0)
-        influence = self._influences(squares.mean(), influence, lost)
+        influence = of_answered(squares.mean(), influence, lost)
         corrected = squares.mean() + influence.mean()
         ends = _ends(corrected, influence, math.hypot(sampling, fold_spread(squares)))
         value = _settled(np.median(squares), corrected, *ends)
@@ -193,13 +185,15 @@ class Corrected:
         cell = 0.0
         if np.isin(predicted, (0.0, 1.0)).all():
             cell = 1.0 / predicted.shape[1]  # a replicate knows what it counts to one cell
-        influence = self._influences(predicted.mean(), rows - left_out, lost)
-        answer = predicted.mean() + influence.mean()
-        expected = weights @ changes + self._odds * answer * (1.0 - answer)
         value, low, high = map(
             float,
             corrected_probability(
-                predicted.mean(axis=1), influence, expected * (1.0 + self._odds), cell
+                predicted.mean(axis=1),
+                rows - left_out,
+                lost,
+                odds=self._odds,
+                expected=float(weights @ changes),
+                cell=cell,
             ),
         )
         missed = count_bound(self.runs, self.failed)
@@ -336,17 +330,34 @@ def _settled(expanded: Values, corrected: Values, low: Values, high: Values) -> 
     return np.where((low <= expanded) & (expanded <= high), expanded, corrected)
 
 
-def corrected_probability(
-    table: Array, influence: Array, expected: Values, cell: Values
-) -> tuple[Array, Array, Array]:
-    """Values and ends (...) of probabilities: those of the replicates of the table (R, ...), known
-    to a cell, corrected by influences (n, ...).
-
-    expected : (...) variance that residuals like those of the rows make
+def of_answered(level: Values, influence: Array, lost: Array) -> Array:
+    """What all rows (n + l,) move E_table[g(f)], the level, by, so that their mean makes it the
+    answer of those that answered: by influences (n,) of these, and by g (l,) as predicted for the
+    others.
     """
+    runs = len(influence)
+    shift = (influence.sum() + (level - lost).sum()) / runs
+    every = np.append(influence, level + shift - lost)
+    return np.asarray(every + (every - every.mean()) * (len(lost) / runs))
+
+
+def corrected_probability(
+    table: Array, influence: Array, lost: Array, *, odds: float, expected: float, cell: float
+) -> tuple[Array, Array, Array]:
+    """Value and ends of a probability: that of the replicates of the table (R,), known to a cell,
+    corrected by influences (n,) of rows that answered, and by what is predicted for others (l,).
+
+    odds : how many rows fail for one that answers
+    expected : variance that residuals like those of the rows make
+    """
+    level = table.mean()
+    influence = of_answered(level, influence, lost)
+    correction = influence.mean()
+    answer = level + correction
+    expected = (expected + odds * answer * (1.0 - answer)) * (1.0 + odds)
     n = len(influence)
-    noise = np.maximum(influence.var(axis=0, ddof=1), expected) / n
-    return _corrected(table, influence.mean(axis=0), noise, runs=n, cell=cell)
+    noise = np.maximum(influence.var(ddof=1), expected) / n
+    return _corrected(table, correction, noise, runs=n, cell=cell)
 
 
 def _corrected(
