@@ -13,7 +13,7 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -222,8 +222,8 @@ def _lines(lines: Sequence[int] | Places) -> str:
 @dataclass(kw_only=True)
 class Table:
     """The cells of a file as texts: rows of data with the numbers of their lines, notes for the
-    user, lines that follow an empty one (`apart`), and the units [SI] of the columns that were
-    read, by the keys that name them; `unit_keys` are the keys that give their units.
+    user, and the units [SI] of the columns that were read, by the keys that name them; `unit_keys`
+    are the keys that give their units.
     """
 
     name: str
@@ -232,7 +232,6 @@ class Table:
     lines: Places
     notes: list[str]
     decimal: str
-    apart: set[int] = field(default_factory=set)
     unit_keys: Mapping[str, str] = field(default_factory=_UNIT_KEYS.copy)
     units: dict[str, float] = field(default_factory=dict)
     faults: dict[tuple[str, str], dict[int, None]] = field(default_factory=dict)
@@ -449,9 +448,7 @@ class Table:
             raise TableError("\n".join(messages), next(iter(self.faults))[0])
 
     def finish(self) -> None:
-        """Check, and note rows that seem to be no further data: repeated ones, and sums of the
-        others.
-        """
+        """Check, and note rows that repeat others."""
         self.check()
         first = dict[tuple[str, ...], int]()
         back = [k - first.setdefault(tuple(row), k) for k, row in enumerate(self.rows)]
@@ -466,44 +463,6 @@ class Table:
             self.notes.append(
                 f"{self.name}: {_lines(self.lines[again])} {verb} earlier rows: pasted twice?"
             )
-        self._note_sums()
-
-    def _note_sums(self) -> None:
-        """Note a row near the end that is the mean, sd or sum of all above.
-
-        One behind an empty line needs a single column for that, and may be another measure; so does
-        one of the last two rows of a single column of fine digits.
-        """
-        columns = []
-        rows = len(self)
-        for cells in zip(*self.rows, strict=True):
-            column = [text.replace(",", ".") for text in cells]
-            if len(set(column)) > 2 and all(map(NUMBER["."].fullmatch, column)):
-                columns.append(column)
-        if not columns or rows < 5:
-            return
-        texts = np.array(columns)
-        values = texts.astype(float)
-        steps = 10.0 ** -np.strings.str_len(np.strings.partition(texts, ".")[2])
-        for k in range(max(3, rows - 8), rows):
-            above = values[:, :k]
-            step = steps[:, k]
-            apart = self.lines[k] in self.apart
-            sd = above.std(axis=1, ddof=1)
-            names = ["mean", "sum"]
-            if apart:
-                names += ["median", "min", "max"]
-            sums = {name: getattr(np, name)(above, axis=1) for name in names}
-            fine = len(columns) == 1 and k >= rows - 2 and steps[0].min() <= 0.02 * sd[0]
-            least = 1 if apart or fine else max(2, len(columns) - 1)
-            for name, total in {**sums, "sd": sd}.items():
-                alike = np.abs(values[:, k] - total) <= 0.51 * step
-                if (alike & (total != 0.0) & (step <= sd)).sum() >= least:
-                    self.notes.append(
-                        f"{self.name}: line {self.lines[k]} is the {name} of the rows above; if it "
-                        "is a summary row, delete it"
-                    )
-                    return
 
 
 # --- from files to tables -------------------------------------------------------------------------
@@ -542,13 +501,14 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     if comments:
         notes.append(f"{name}: {_lines(comments)}: comments (#), left out")
     empty = {k: [""] for k in span if k not in lines}
-    apart = {k for k in rows if k - 1 in empty}
     if empty and max(map(len, rows.values())) == 1:
         rows = dict(sorted((rows | empty).items()))
     elif empty:
-        notes.append(f"{name}: {_lines([*empty])}: empty, left out")
+        notes.append(
+            f"{name}: {_lines([*empty])}: empty, left out. If a mean stands below, delete it"
+        )
     try:
-        return replace(table_of(name, rows, notes, decimal), apart=apart)
+        return table_of(name, rows, notes, decimal)
     except TableError as error:
         raise TableError(f"{error}{_other_sheets(notes)}") from None
 

@@ -576,7 +576,7 @@ IMPLAUSIBLE = {
         [*ROWS, "119,2830"],
         "1 of 13 diameters differ from the sphere's by more than a factor of three",
     ),
-    "a mean row": (("", ""), [*ROWS, "11.9,2486"], "line 14 is the mean of the rows above"),
+    "a mean row": (("", ""), [*ROWS, "", "11.9,2486"], "line 14: empty, left out. If a mean"),
 }
 
 

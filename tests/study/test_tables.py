@@ -254,30 +254,14 @@ def test_all_faults_of_a_kind_are_one_message(tmp_path: Path) -> None:
     assert "lines 2, 3, 4, 5, 6, 7, 8, 9 and 22 more: F: an empty cell" in lines[1]
 
 
-def test_a_test_near_the_mean_is_no_summary_row(tmp_path: Path) -> None:
-    """A diameter of few digits agrees with any mean: it says nothing."""
-    rows = "D,F 15.1,4.2 14.9,5.1 15,3.9 15.2,4.8 15,5.6 14.8,4.4 15.1,6 15,4.9 14.9,3.5 15,5"
-    (tmp_path / "t.csv").write_text(rows.replace(" ", "\n"), encoding="utf-8")
-    table = read_table(tmp_path / "t.csv")
-    table.numbers("F", "force", "kN")
-    table.finish()
-    assert table.notes == []
-
-
-def test_rows_pasted_twice_and_rows_of_sums_are_noted(tmp_path: Path) -> None:
+def test_rows_pasted_twice_are_noted(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     rows = [
         f"{d:.1f},{f:.0f}"
         for d, f in zip(rng.normal(12, 0.4, 25), rng.normal(2500, 600, 25), strict=True)
     ]
-    values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
-    means, sds = values.mean(axis=0), values.std(axis=0, ddof=1)
     for more, said in (
         (rows, "repeat earlier rows: pasted twice?"),
-        (
-            [f"{means[0]:.1f},{means[1]:.0f}", f"{sds[0]:.1f},{sds[1]:.0f}"],
-            "line 27 is the mean of the rows above",
-        ),
         ([], None),
         (["12.0,3000"] * 30, None),  # stopped at one load
     ):
@@ -301,32 +285,6 @@ def test_headings_with_units_stand_below_a_preamble(above: str, lines: str, tmp_
     table = read_table(tmp_path / "t.csv")
     assert table.numbers("F", "force").tolist() == [1000.0, 2000.0]
     assert f"{lines}: above the headings, left out" in table.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        (["9.3"], "line 12 is the mean of the rows above"),
-        (["92.98"], "line 12 is the sum of the rows above"),
-        (["9.3", "0.77"], "line 12 is the mean of the rows above"),
-        (["9.4"], None),
-    ],
-)
-def test_sums_below_a_single_column_are_noted(
-    more: list[str], said: str | None, tmp_path: Path
-) -> None:
-    column = ["9.12", "10.45", "8.77", "9.63", "7.98", "9.91", "10.02", "8.35", "9.2", "9.55"]
-    (tmp_path / "t.csv").write_text("\n".join(["F", *column, *more]))
-    table = read_table(tmp_path / "t.csv")
-    table.numbers("F")
-    table.finish()
-    assert [str(said) in note for note in table.notes] == ([True] if said else [])
-    # behind an empty line they are refused, in a workbook as in a text
-    (tmp_path / "t.csv").write_text("\n".join(["F;", *(f"{x};" for x in column), ";", *more]))
-    table = read_table(tmp_path / "t.csv")
-    table.numbers("F")
-    with pytest.raises(TableError, match="line 12: F: an empty cell"):
-        table.finish()
 
 
 def test_units_come_from_the_key_or_the_heading_and_must_agree(tmp_path: Path) -> None:
