@@ -1,4 +1,4 @@
-"""`run --dask` and `sweep --dask`: the same answers as on one machine, with a worker killed."""
+"""`run --dask`: the same answers as on one machine, with a worker killed."""
 
 import os
 import signal
@@ -34,7 +34,6 @@ budget = { evaluations = 12000 }
 accuracy = { mean = 0.1, quantile = 0.2, sobol = 0.2, probability = 0.3 }
 """
 MODEL = 'def f(x):\n    return {"y": x["a"] * x["k"] * x["c"]}\n'
-POINTS = ("--over", "inputs.c=1, 2, 3")
 
 
 @pytest.fixture
@@ -77,39 +76,18 @@ def answers(folder: str) -> Any:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_answers_of_a_cluster_that_loses_a_worker_are_those_of_one_machine(cluster: Any) -> None:
-    black_box = ("s.toml", "--model", "box.py:f")
-    assert main(["sweep", *black_box, "-j", "1", *POINTS, "--out", "here"]) == 3
+    words = ("run", "s.toml", "--model", "box.py:f")
+    assert main([*words, "-j", "1", "--out", "here"]) == 0
     killed = kill_a_busy_one(cluster)
-    address = ("--dask", cluster.scheduler_address)
-    assert main(["sweep", *black_box, *address, *POINTS, "--out", "there"]) == 3
+    assert main([*words, "--dask", cluster.scheduler_address, "--out", "there"]) == 0
     assert not killed.is_alive()
-    for name in ("c-1", "c-2", "c-3"):
-        assert answers(f"there/{name}") == answers(f"here/{name}")
-        assert main(["verify", f"there/{name}"]) == 0
-    here, there = (Path(folder, "sweep.csv").read_text() for folder in ("here", "there"))
-    assert here == there
-    killed = kill_a_busy_one(cluster)
-    assert main(["run", *black_box, *address, "--set", "inputs.c=2", "--out", "run"]) == 0
-    assert not killed.is_alive()
-    assert answers("run") == answers("here/c-2")
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_a_point_of_another_study_is_left(cluster: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("sweep/c-1").mkdir(parents=True)
-    assert main(["run", "s.toml", "--model", "box.py:f", "-j", "1", "--out", "sweep/c-1"]) == 0
-    before = Path("sweep/c-1/results.json").read_bytes()
-    words = ["sweep", "s.toml", "--set", "seed=2", "--model", "box.py:f", *POINTS, "--out", "sweep"]
-    assert main([*words, "--dask", cluster.scheduler_address]) == 5
-    assert "another study" in capsys.readouterr().err
-    assert Path("sweep/c-1/results.json").read_bytes() == before
+    assert answers("there") == answers("here")
 
 
 def test_the_impact_model_is_not_sent_to_a_cluster(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", "granite"]) == 0
     assert main(["run", "granite.toml", "--dask", "tcp://127.0.0.1:1"]) == 2
-    assert "A sweep distributes its points" in capsys.readouterr().err
+    assert "distributes the model runs of a black box" in capsys.readouterr().err
 
 
 def test_a_file_of_another_kind_is_no_scheduler_file(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,6 @@ import sys
 import warnings
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from inspect import getdoc
@@ -427,7 +426,7 @@ def _run(options: Namespace) -> int:
     if options.dask is not None and not study.black_box:
         raise UsageError(
             "run --dask distributes the model runs of a black box; the impact model runs in this "
-            "process, on the threads of -j. A sweep distributes its points"
+            "process, on the threads of -j"
         )
     with _cluster(options) as client, _interruptible() as stop:
         finished = _computed(options, study, folder, stop, executor=client, fresh=options.fresh)
@@ -449,15 +448,7 @@ def _sweep(options: Namespace) -> int:
     uqsphere sweep chute.toml --over target.thickness="10 mm, 15 mm, 25 mm"
     uqsphere sweep chute.toml --over sphere.radius="8 mm, 10 mm" --over rig.angle="60 deg, 90 deg"
     """
-    from uqsphere.models.black_box import read_model
-    from uqsphere.report.sweep import (
-        finished_run,
-        plan_sweep,
-        point_files,
-        run_on_cluster,
-        sweep_text,
-        write_sweep,
-    )
+    from uqsphere.report.sweep import finished_run, plan_sweep, sweep_text, write_sweep
 
     folder = _folder(options, "sweep")
     sweep = plan_sweep(options.over, folder, _reader(options))
@@ -475,13 +466,7 @@ def _sweep(options: Namespace) -> int:
 
     take_in(sweep.points)
     waiting = [point for point in sweep.points if point.name not in runs]
-    with _cluster(options) as client, _interruptible() as stop:
-        if client is not None:
-            model = None if options.model is None else read_model(options.model)
-            files_of = partial(point_files, model, options.processes or 1, _budget(options))
-            for point in run_on_cluster(sweep, waiting, client, files_of, stop):
-                take_in([point])
-            waiting = []
+    with _interruptible() as stop:
         for point in waiting:
             if stop():
                 break

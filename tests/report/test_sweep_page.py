@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
@@ -81,6 +79,14 @@ def test_a_sweep_is_runs_with_one_table_and_goes_on_where_it_ended(
     assert main([*SWEEP, "--over", "inputs.c=1, 2, 3"]) == 3
     assert Path("s-sweep/c-1/results.json").stat().st_mtime_ns == stored
     assert len(pd.read_csv("s-sweep/sweep.csv")) == 3
+
+
+def test_points_that_were_run_elsewhere_are_taken_in(capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["run", "s.toml", "--model", "box.py:f", "-j", "1", "--set", "inputs.c=1"]
+    assert main([*run, "--out", "s-sweep/c-1"]) == 0
+    assert main([*SWEEP, "--over", "inputs.c=1"]) == 0
+    assert "point 1" not in capsys.readouterr().err
+    assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]
 
 
 def test_a_sweep_without_limits_says_so(capsys: pytest.CaptureFixture[str]) -> None:
@@ -187,64 +193,3 @@ def test_an_interrupted_sweep_keeps_the_points_that_have_run(
     assert main([*SWEEP, "--over", "inputs.c=1, 2"]) == 130
     assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]
     assert "Use at most" in capsys.readouterr().out
-
-
-def test_points_that_a_closed_client_does_not_end_are_not_waited_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from concurrent.futures import Future
-
-    class Client:
-        def __init__(self) -> None:
-            self.status = "running"
-
-        def __enter__(self) -> Client:
-            return self
-
-        def __exit__(self, *_: object) -> None: ...
-
-        def submit(self, function: Callable[..., Any], study: Any, pure: bool) -> Future[Any]:
-            future = Future[Any]()
-            if self.status == "closed":
-                return future  # it never ends
-            future.set_result(function(study))
-            self.status = "closed"
-            return future
-
-    monkeypatch.setattr("uqsphere.cli._cluster", lambda options: Client())
-    assert main([*SWEEP, "--over", "inputs.c=1, 2", "--dask", "x"]) == 7
-    assert "its client was closed" in capsys.readouterr().err
-    assert pd.read_csv("s-sweep/sweep.csv")["folder"].tolist() == ["c-1"]
-
-
-def test_a_cluster_that_ends_no_point_is_asked_about(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A cluster without workers takes what it is sent, and waits for one."""
-    from concurrent.futures import Future
-
-    class Client:
-        def __enter__(self) -> Client:
-            return self
-
-        def __exit__(self, *_: object) -> None: ...
-
-        def submit(self, function: Callable[..., Any], study: Any, pure: bool) -> Future[Any]:
-            future = Future[Any]()
-            self.end = lambda: future.set_result(function(study))
-            return future
-
-    client = Client()
-
-    def told(text: str) -> None:
-        asked.append(text)
-        client.end()
-
-    asked = list[str]()
-    monkeypatch.setattr("uqsphere.report.sweep._SILENCE", 0.0)
-    monkeypatch.setattr("uqsphere.report.sweep.tell", told)
-    monkeypatch.setattr("uqsphere.cli._cluster", lambda options: client)
-    assert main([*SWEEP, "--over", "inputs.c=1", "--dask", "x"]) in (0, 3)
-    assert len(asked) == 1
-    assert "Does the cluster have workers?" in asked[0]
-    assert "report: s-sweep" in capsys.readouterr().out

@@ -107,13 +107,6 @@ def result(future: Future[Timed]) -> Timed:
         raise _lost(error) from error
 
 
-def is_closed(client: Any) -> bool:
-    """Whether `client` is one of Dask that is closed, as it is without its scheduler: calls that it
-    took meanwhile never end.
-    """
-    return getattr(client, "status", "") in ("closing", "closed")
-
-
 def _lost(error: BaseException) -> ExecutorLost:
     return executor_lost(f"{type(error).__name__}: {as_text(error, 120)}".removesuffix(": "))
 
@@ -365,8 +358,10 @@ class Workers:
 
     @property
     def are_gone(self) -> bool:
-        """Whether no call that is waited for will end: the client of the executor was closed."""
-        return is_closed(self._client)
+        """Whether no call that is waited for will end: a client of Dask is closed, as it is without
+        its scheduler.
+        """
+        return getattr(self._client, "status", "") in ("closing", "closed")
 
     def _call(self, rows: Array) -> Timed:
         with self._lock:

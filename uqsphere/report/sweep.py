@@ -5,25 +5,19 @@ One table and one chart show the number to use and the probability at the plan, 
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
 import re
-import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from uqsphere.arrays import Names, frozen
-from uqsphere.errors import ExecutorLost, UqsphereError, UsageError, tell
-from uqsphere.models.black_box import ModelFile
-from uqsphere.models.workers import is_closed
+from uqsphere.errors import UsageError
 from uqsphere.quantities import display_unit, lookup
 from uqsphere.results import Run, open_run
-from uqsphere.results.folder import check_kind, locked, owner_by_command, sums_of, write_files
+from uqsphere.results.folder import check_kind, owner_by_command, write_files
 from uqsphere.results.types import Decision, Kind, Range, Results
 from uqsphere.study import Study
 
@@ -161,101 +155,6 @@ def finished_run(sweep: Sweep, point: Point) -> Run | None:
     if results.study.hash != point.study.hash or results.accuracy.stopped == "interrupted":
         return None
     return run
-
-
-#: seconds in which no point ends after which the user is asked about the cluster, once
-_SILENCE = 300.0
-#: one run at a time in a process of a cluster, whose threads share the compiled integrator
-_ONE = threading.Lock()
-
-
-def point_files(
-    model: ModelFile | None, threads: int, seconds: float | None, study: Study
-) -> dict[str, bytes]:
-    """Run one point, on a worker of a cluster; the files of its folder."""
-    from uqsphere.propagation import run
-
-    with _ONE, tempfile.TemporaryDirectory() as place:
-        reference = None
-        folder = Path(place) / "run"
-        if model:
-            copy = Path(place) / model.path.name
-            copy.write_bytes(model.source)
-            reference = f"{copy}:{model.name}"
-        run(
-            study,
-            reference,
-            out=folder,
-            threads=threads,
-            seconds=seconds,
-            progress=lambda *_: None,
-        )
-        return {name: (folder / name).read_bytes() for name in sums_of(folder)}
-
-
-def run_on_cluster(
-    sweep: Sweep,
-    points: Sequence[Point],
-    client: Any,
-    files_of: Callable[[Study], dict[str, bytes]],
-    stop: Callable[[], bool],
-) -> Iterator[Point]:
-    """Points whose folders have been written, in the order in which a cluster ends them.
-
-    client : of the cluster; files_of : `point_files` of a study, called there; stop : asked
-    meanwhile
-
-    Raises FolderError for a folder that is in use or of another study, ExecutorLost where the
-    cluster goes away, and what a run raises.
-    """
-    from uqsphere.propagation import check_owner
-
-    for point in points:
-        folder = sweep.folder / point.name
-        with locked(folder, point.study.scene):
-            check_owner(folder, point.study)
-    with _errors_of_cluster():
-        waiting = {point.name: client.submit(files_of, point.study, pure=False) for point in points}
-    ask_at = time.monotonic() + _SILENCE
-    while waiting and not stop():
-        # asked before its futures are: what a closed client has not ended by then never ends
-        closed = is_closed(client)
-        for point in points:
-            if point.name in waiting and waiting[point.name].done():
-                with _errors_of_cluster():
-                    files = waiting.pop(point.name).result()
-                ask_at = time.monotonic() + _SILENCE
-                write_files(sweep.folder / point.name, files, point.study.scene)
-                yield point
-        if waiting and closed:
-            raise _lost_cluster("its client was closed")
-        if waiting and time.monotonic() > ask_at:
-            ask_at = math.inf
-            tell(
-                f"no point has ended for {_SILENCE / 60.0:.0f} min. Does the cluster have workers? "
-                "Ctrl-C stops the sweep; the same command continues it"
-            )
-        time.sleep(0.05)
-    for future in waiting.values():
-        future.cancel()
-
-
-@contextlib.contextmanager
-def _errors_of_cluster() -> Iterator[None]:
-    """What a run raises is raised; everything else becomes ExecutorLost."""
-    try:
-        yield
-    except (UqsphereError, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # a cancelled future of Dask is no Exception
-        raise _lost_cluster(type(error).__name__) from error
-
-
-def _lost_cluster(reason: str) -> ExecutorLost:
-    return ExecutorLost(
-        f"the cluster was lost ({reason}). Points that have run are kept; the same command "
-        "continues"
-    )
 
 
 def write_sweep(sweep: Sweep) -> Path:
