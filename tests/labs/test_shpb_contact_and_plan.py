@@ -144,12 +144,16 @@ aim = "survive"
 """
 
 
+SPEEDS: dict[str, Any] = {"free": "striker.speed", "between": ("0.05 m/s", "2 m/s")}
+
+
 def plan(folder: Path, capsys: pytest.CaptureFixture[str], E: str, *more: str) -> dict[str, Any]:
     (folder / "ball.toml").write_text(STUDY.format(E=E))
     lines = [
         'study = "ball.toml"',
         "shares = [1e-4, 0.04, 0.5]",
         "points = 9",
+        'free = "striker.speed"',
         'between = ["0.3 m/s", "6 m/s"]',
         *more,
     ]
@@ -203,7 +207,7 @@ def test_a_plan_has_every_failure_mode_that_means_fracture(chosen: bool, tmp_pat
         shares=(0.01,),
         rows=64,
         points=3,
-        between=("0.05 m/s", "2 m/s"),
+        **SPEEDS,
         limits=("crushing",) * chosen,
     )
     plan = plan_test(asked, tmp_path)
@@ -224,12 +228,14 @@ def test_what_a_plan_cannot_use_is_refused(
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"'))
     shutil.copy(Path(__file__).parents[2] / "studies" / "ishigami.toml", tmp_path)
     file = tmp_path / "plan.toml"
+    free = '\nfree = "striker.speed"'
+    between = '\nbetween = ["1 m/s", "2 m/s"]'
     for line, match in (
-        ('free = "striker.mass"', "free: must be a number of the study (bars.E, "),
-        ('between = ["1 kg", "2 kg"]', "between[0]: unknown unit 'kg' for a speed"),
-        ('between = ["0 m/s", "2 m/s"]', "between[0]: striker speed must be above 0 m/s"),
-        ('between = ["2 m/s", "1 m/s"]', "between: must be [low, high], not"),
-        ('free = "sphere.nu"', "free: Poisson ratio of the sphere must be between"),
+        ('free = "striker.speed"', "free: give a number of the study as free, such as striker"),
+        ('free = "striker.mass"' + between, 'free: "striker.mass" is not a number of this study'),
+        ('between = ["1 kg", "2 kg"]' + free, "between[0]: unknown unit 'kg' for a speed"),
+        ('between = ["0 m/s", "2 m/s"]' + free, "between[0]: striker speed must be above 0 m/s"),
+        ('between = ["2 m/s", "1 m/s"]' + free, "between: must be [low, high], not"),
         ('limits = ["none"]', 'limits: unknown limit that means fracture "none", known: crushing'),
         ('limits = ["crushing", "none"]', 'limits: unknown limit that means fracture "none"'),
         ("rows = 3", "rows: must be greater than or equal to 64, not 3"),
@@ -243,6 +249,10 @@ def test_what_a_plan_cannot_use_is_refused(
         file.write_text(text)
         assert main(["shpb", "plan", str(file)]) in (2, 6)
         assert capsys.readouterr().err.startswith(f"{file}:2: {match}")
+    for line in ("", between):
+        file.write_text('study = "ball.toml"' + line)
+        assert main(["shpb", "plan", str(file)]) == 2
+        assert "give a number of the study as free" in capsys.readouterr().err
 
 
 def test_a_limit_that_means_no_fracture_stands_for_its_mode_in_a_plan_as_in_a_run(
@@ -253,7 +263,7 @@ def test_a_limit_that_means_no_fracture_stands_for_its_mode_in_a_plan_as_in_a_ru
     own += 'aim = "break"\n'
     text = STUDY.format(E='"60 GPa"').replace("[sphere]", '[sphere]\nmaterial = "granite"')
     (tmp_path / "ball.toml").write_text(text + own)
-    asked = PlanDocument(study="ball.toml", rows=64, points=2, between=("0.05 m/s", "2 m/s"))
+    asked = PlanDocument(study="ball.toml", rows=64, points=2, **SPEEDS)
     plan = plan_test(asked, tmp_path)
     assumed = ["contact crushing (assumed)", "fracture energy (assumed)"]
     assert [*plan["shares"]] == [*plan["reached"]] == ["crushing", *assumed]
@@ -261,7 +271,7 @@ def test_a_limit_that_means_no_fracture_stands_for_its_mode_in_a_plan_as_in_a_ru
 
 def test_a_plan_tells_what_a_run_warns_of(tmp_path: Path) -> None:
     (tmp_path / "ball.toml").write_text(STUDY.format(E='"0.6 GPa"'))
-    asked = PlanDocument(study="ball.toml", rows=64, points=2, between=("0.05 m/s", "2 m/s"))
+    asked = PlanDocument(study="ball.toml", rows=64, points=2, **SPEEDS)
     warnings = uqsphere.load_study(tmp_path / "ball.toml").warnings
     assert "0.6 GPa is unusual" in "".join(warnings)
     assert {*warnings} <= {*plan_test(asked, tmp_path)["notes"]}

@@ -6,7 +6,6 @@ share of 0.01 % comes from the distribution of the strength, not from counted sa
 """
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -25,19 +24,6 @@ from uqsphere.quantities import (
     format_value,
     lookup,
 )
-from uqsphere.study import Study
-
-#: numbers of the rigs that are varied, in order of preference, if the file does not name one
-_FREE = (
-    "striker.speed",
-    "rig.speed",
-    "rig.drop_height",
-    "hammer.speed",
-    "hammer.drop_height",
-    "platens.force",
-    "platens.displacement",
-)
-
 
 Share = Annotated[float, in_unit("number"), Field(gt=0.0, lt=1.0)]
 
@@ -46,7 +32,8 @@ class PlanDocument(Section):
     """An input file of `uqsphere shpb plan`.
 
     study : file of the study.
-    free : number of the study that is varied; between : lowest and highest value.
+    free : number of the study that is varied; between : lowest and highest value (default: those of
+        the study's margins).
     shares : shares of broken spheres whose values are wanted.
     limits : limits that count (default: all that mean fracture, and the failure modes with a
         strength of the library).
@@ -86,17 +73,25 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         if name not in limits:
             raise InputError(unknown("limit that means fracture", name, limits), "limits")
     limits = {name: limit for name, limit in limits.items() if name in (asked.limits or limits)}
+    overrides = []
+    if asked.free:
+        overrides.append(f"margins.solve={asked.free}")
+    if asked.between:
+        overrides.append(f"margins.between={json.dumps(asked.between)}")
+    if len(overrides) < 2 and (asked.free or not study.margins):
+        raise InputError(
+            "give a number of the study as free, such as striker.speed, and between = [lowest, "
+            "highest]; without both the study needs a table [margins]",
+            "free",
+        )
     try:
-        study = uqsphere.load_study(path, _margins(asked, study))
+        study = uqsphere.load_study(path, overrides)
     except StudyError as error:
         refused = InputError(str(error))
         refused.faults = []
         for fault in error.problems:
             message = fault.message.removesuffix(" (set by --set)")
             key = fault.path.replace("margins.solve", "free").removeprefix("margins.")
-            if key.startswith("between") and not asked.between:
-                key = "free"
-                message += ". Give between = [lowest, highest]"
             refused.faults.append(Fault(message, key))
         raise refused from None
     margins = study.margins
@@ -182,23 +177,3 @@ def plan_csv(plan: JsonObject) -> str:
         head += [f"{name} [1]", f"{name} low [1]", f"{name} high [1]"]
     columns = [plan["values"], plan["force"], *plan["shares"].values(), plan["failed"]]
     return csv_text(np.column_stack(columns), [*head, "failed [1]"])
-
-
-def _margins(asked: PlanDocument, study: Study) -> list[str]:
-    """What sets the free number of a study and its ends: of the file, of the study's margins, or a
-    third to three times its value.
-    """
-    numbers = study.at_means()
-    margins = study.margins
-    solved = margins.solve if margins else ""
-    free = asked.free or next((name for name in (solved, *_FREE) if name in numbers), "")
-    if free not in numbers:
-        raise InputError(
-            f"must be a number of the study ({', '.join(sorted(numbers))}), not {free!r}", "free"
-        )
-    between: Sequence[str] | None = asked.between
-    if not between:
-        if solved == free:
-            return []
-        between = [f"{part * numbers[free]} {lookup(free).unit}" for part in (1 / 3, 3)]
-    return [f"margins.solve={free}", f"margins.between={json.dumps(between)}"]
