@@ -195,7 +195,8 @@ def is_error_value(cell: str) -> bool:
     return _ERROR_VALUE.fullmatch(cell.strip(' "')) is not None
 
 
-def _is_numeric(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a decimal point or comma."""
     return any(number.fullmatch(cell) for number in NUMBER.values())
 
 
@@ -282,7 +283,7 @@ class Table:
             often = "not"
             hint = suggestion(column, names)
         hint = hint or _other_sheets(self.notes)
-        if not hint and all(map(_is_numeric, headings)):
+        if not hint and all(map(is_number, headings)):
             hint = "; the first row holds numbers: add a row of headings"
         elif not hint and len(headings) == 1 and re.search(r"\S[\s|]", headings[0]):
             hint = "; divide columns by commas, semicolons or tabs"
@@ -412,7 +413,7 @@ class Table:
     def _strange(self, text: str) -> str:
         """What is wrong with a cell that is no number."""
         message = f"{as_text(text, 60)!r} is not a number{alien(text)}"
-        if _is_numeric(text):
+        if is_number(text):
             message += f" with decimal = {self.decimal!r}"
         if _DATE.fullmatch(text):
             message += "; a cell of a workbook in the format of a date? Change it to a number"
@@ -481,11 +482,8 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     lines, notes = read_lines(path, sheet=sheet)
     name = as_text(path.name)
     live = {k: line for k, line in lines.items() if not is_comment(line)}
-    texts = [*live.values()]
-    ends = "".join(texts[:1] + texts[-1:])  # a title has no divider
-    divider = next((mark for mark in "\t;" if mark in ends), ",")
     try:
-        cells = cells_of(live, divider, strict=True)
+        cells = cells_of(live, divider_of([*live.values()]), strict=True)
     except csv.Error:
         raise TableError(
             f"{name!r}: a text in quotes extends over several lines. Keep every row on one line"
@@ -536,7 +534,7 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
     def has_unit(cell: str) -> bool:
         return bool(_BRACKET.search(cell)) and any(unit_in_heading(cell, name)[1] for name in UNITS)
 
-    words = [not any(map(_is_numeric, row)) for row in rows]
+    words = [not any(map(is_number, row)) for row in rows]
     cells = [[*filter(None, row)] for row in rows]
     least = min(2, max(map(len, rows), default=0))
     for place, texts in enumerate(cells[:_PREAMBLE]):
@@ -545,7 +543,7 @@ def _place_of_headings(rows: Sequence[list[str]]) -> int:
     place = next((k for k, texts in enumerate(cells) if len(texts) > 1 or not words[k]), 0)
     if place > 0 and words[place]:
         return place
-    numbers = [len(texts) > 1 and all(map(_is_numeric, texts)) for texts in cells]
+    numbers = [len(texts) > 1 and all(map(is_number, texts)) for texts in cells]
     below = next((k for k, whole in enumerate(numbers) if whole), 0)
     place = below - 1
     if place > 0 and are_units(rows[place]):
@@ -599,6 +597,14 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     if "\0" in text[:4096]:
         raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
     return text.lstrip("\ufeff").replace("\N{MINUS SIGN}", "-")
+
+
+def divider_of(lines: list[str]) -> str:
+    """What stands between the cells of lines: tabs, semicolons, or else commas; a title, which the
+    first of them may be, has none.
+    """
+    ends = "".join(lines[:1] + lines[-1:])
+    return next((mark for mark in "\t;" if mark in ends), ",")
 
 
 def cells_of(

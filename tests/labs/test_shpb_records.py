@@ -521,6 +521,11 @@ def test_columns_of_a_recorders_sheet_end_where_they_like(tmp_path: Path) -> Non
             "",
         ),
         (
+            "time volts\n" + "".join(f"{k},0 {k},5 0,25\n" for k in range(80)),
+            ["column 1", "column 2", "column 3"],
+            "time volts",
+        ),
+        (
             '"t;x;x"\r' + "".join(f'"{k}.0;{k}.5;0.25"\r' for k in range(80)),
             ["t", "2 x", "3 x"],
             "",

@@ -14,15 +14,13 @@ from uqsphere import tables
 from uqsphere.arrays import Array, Flags, Pair
 from uqsphere.errors import UsageError
 from uqsphere.labs.files import InputError
-from uqsphere.tables import NOTHING, NUMBER, Table, TableError, cells_of, is_comment
+from uqsphere.tables import NOTHING, Table, TableError, cells_of, is_comment
 from uqsphere.units import UNITS
 
 from .document import BarTable, RecordDocument, RecordTable
 
-#: dividers of columns with decimal marks
-_WRITTEN = (";.", ";,", "\t.", "\t,", ",.", " .", " ,")
-#: lines from which on the second half of a file shows its form; lines that are looked at
-_LONG, _LOOKED_AT = 60, 200
+#: lines of the second half of a file that show its form
+_LOOKED_AT = 200
 #: lines of metadata that are returned where the numbers begin at once
 _METADATA = 40
 #: most bytes of a file
@@ -50,8 +48,8 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     """The table of a recorder's file, and the text above its numbers.
 
     Columns may be divided by blanks too, with metadata above the numbers, with or without headings.
-    The second half of the file shows divider and decimal mark: metadata are above or beside the
-    first half at most.
+    The second half of the file shows the divider and which columns have numbers: metadata are above
+    or beside the first half at most.
 
     Raises TableError for a file without a table of numbers, AccessError as
         `uqsphere.files.read_given`.
@@ -63,21 +61,30 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     # without quotes around a whole line
     lines = {number: re.sub('^"([^"]*)"$', r"\1", line) for number, line in lines.items()}
     live = {number: line for number, line in lines.items() if not is_comment(line)}
-    skipped = 1
-    if len(live) > _LONG:
-        skipped = len(live) // 2
-    looked_at = dict([*live.items()][skipped:][:_LOOKED_AT]) or live
-    forms = {written: _form_of(looked_at, *written) for written in _WRITTEN}
-    written = max(forms, key=lambda written: forms[written][0])
-    (_, whole), width, places = forms[written]
-    divider = written[0]
-    mark = written[1]
-    if not whole:
+    half = slice(len(live) // 2, len(live) // 2 + _LOOKED_AT)
+    lower = [*live.values()][half]
+    texts = "".join(lower[:1]).split()
+    divider = tables.divider_of(lower)
+    if divider == "," and len(texts) > 1 and all(map(_is_number, texts)):
+        divider = " "
+    cells = cells_of(live, divider)
+    rows = [row for row in [*cells.values()][half] if any(map(tables.is_number, row))]
+    width = mode([*map(len, rows)] or [0])
+    columns = zip(*(row for row in rows if len(row) == width), strict=True)
+    places = []
+    for place, column in enumerate(columns):
+        if any(map(tables.is_number, column)) and 2 * sum(map(_is_number, column)) > len(column):
+            places.append(place)
+    first = 0
+    for number, row in cells.items():
+        chosen = [row[place] for place in places if place < len(row)]
+        if len(chosen) == len(places) and any(chosen) and all(map(_is_number, chosen)):
+            first = number
+            break
+    if not first:
         raise TableError(
             f"{name}: no table of numbers. Divide the columns by commas, semicolons, tabs or blanks"
         )
-    cells = cells_of(live, divider)
-    first = next(number for number, row in cells.items() if _has_numbers(row, places, mark))
     body = {number: row for number, row in cells.items() if number >= first}
     if divider == "\t":
         body = {number: row + [""] * (width - len(row)) for number, row in body.items()}
@@ -92,6 +99,8 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
             f"{name}: {len(ragged)} lines do not have {width} columns; the first is line "
             f"{ragged[0]} with {len(body[ragged[0]])}{hint}"
         )
+    numbers = "".join(row[place] for row in body.values() for place in places)
+    mark = max(".,", key=numbers.count)
     above = [row for number, row in cells.items() if number < first]
     if not above:
         comments = {k: line.lstrip("# ") for k, line in lines.items() if k < first}
@@ -112,41 +121,15 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
         if names.count(heading) > 1:
             headings[place] = f"{place + 1} {heading}"
     used = [place for place in range(width) if place in places or above[-1][place]]
-    rows = dict(enumerate([headings, *units], first - len(units) - 1)) | body
-    chosen = {number: [row[place] for place in used] for number, row in rows.items()}
+    whole = dict(enumerate([headings, *units], first - len(units) - 1)) | body
+    used_cells = {number: [row[place] for place in used] for number, row in whole.items()}
     metadata = [line for number, line in lines.items() if number < max(first, _METADATA)]
-    return tables.table_of(name, chosen, notes, mark), "\n".join(metadata)
+    return tables.table_of(name, used_cells, notes, mark), "\n".join(metadata)
 
 
-def _form_of(
-    lines: dict[int, str], divider: str, mark: str
-) -> tuple[tuple[int, int], int, list[int]]:
-    """How well a divider and a decimal mark fit, by columns up to two and rows of numbers; the
-    cells of a row; and the places of the columns that contain numbers, with words in less than half
-    of the rows."""
-    is_number = NUMBER[mark].fullmatch
-    rows = [row for row in cells_of(lines, divider).values() if any(map(is_number, row))]
-    width = mode([*map(len, rows)] or [0])
-    rows = [row for row in rows if len(row) == width]
-    places = []
-    for place, column in enumerate(zip(*rows, strict=True)):
-        numbers = sum(_is_number(cell, mark) for cell in column)
-        if any(map(is_number, column)) and 2 * numbers > len(column):
-            places.append(place)
-    whole = sum(_has_numbers(row, places, mark) for row in rows)
-    return (min(len(places), 2), whole), width, places
-
-
-def _has_numbers(row: list[str], places: list[int], mark: str) -> bool:
-    """Whether every place of a row has a number, not all of them missing."""
-    numbers = [row[place] for place in places if place < len(row)]
-    whole = len(numbers) == len(places) and any(numbers)
-    return whole and all(_is_number(cell, mark) for cell in numbers)
-
-
-def _is_number(cell: str, mark: str) -> bool:
+def _is_number(cell: str) -> bool:
     """Whether a cell is a number, or says that there is none."""
-    return bool(NUMBER[mark].fullmatch(cell)) or cell.lower() in NOTHING
+    return tables.is_number(cell) or cell.lower() in NOTHING
 
 
 # --- steps of mending -----------------------------------------------------------------------------
