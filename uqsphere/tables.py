@@ -636,16 +636,11 @@ def table_of(
     width = len(headings)
     wide = next((line for line, row in numbered if any(row[width:])), 0)
     if wide:
-        # what may have brought a row more cells than headings
+        way = "Give every column a heading"
         whole = [re.fullmatch(r"[+-]?\d+", cell) for cell in rows[wide]]
-        way = ""
         if sum(map(bool, whole)) > len(rows[wide]) - width:
             way = "A decimal comma between commas? Save the file with semicolons"
-        elif sum(map(bool, headings)) == 1 and len(numbered) > 1:
-            way = f"Is {as_text(headings[0], 40)!r} a title? Delete its line"
-        raise TableError(
-            f"{name}: line {wide}: more cells than headings. {way or 'Give every column a heading'}"
-        )
+        raise TableError(f"{name}: line {wide}: more cells than headings. {way}")
     if width > MOST_COLUMNS:
         raise TableError(f"{name!r} has {width:,} columns; {MOST_COLUMNS:,} are read at most")
     if numbered and are_units(numbered[0][1]):
