@@ -398,19 +398,19 @@ def _pressed(scene: Scene) -> ColumnMap:
         force = _force_at(partner, c["platens.displacement"], softness)
     face = partner.face
 
-    def approach_at(force: Array) -> Array:
+    def pressed(force: Array) -> Pair:
+        """Approach and energy of one contact."""
         if face is None:
-            return contact.approach_at_force(force, partner.hertz_constant)
-        return face.depth_at(force) * face.onset_approach
+            approach = contact.approach_at_force(force, partner.hertz_constant)
+            return approach, 0.4 * force * approach
+        state = face.pressed(face.depth_at(force))
+        return state.alpha_max, state.stored
 
-    approach = approach_at(force)
-    stored = 0.4 * force * approach
-    if face is not None:
-        stored = face.pressed(face.depth_at(force)).stored
+    approach, stored = pressed(force)
     if "platens.loading_rate" in c:
         rise = 0.8 * force / c["platens.loading_rate"]
     else:  # both contacts and the machine give way
-        way = 2.0 * (approach_at(0.9 * force) - approach_at(0.1 * force)) + 0.8 * force * softness
+        way = 2.0 * (pressed(0.9 * force)[0] - pressed(0.1 * force)[0]) + 0.8 * force * softness
         rise = way / scene.column("platens.speed")
     return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), approach / scales.approach),

@@ -150,12 +150,12 @@ class Motion:
         n = n[inside]
         begin = begin[inside]
         trip = self.echo(1) / self.unit
-        end = float(self.scene.reflections[self.row, 1])
+        reflects = float(self.scene.reflections[self.row, 1])
         trips, rest = np.divmod(s[inside] - begin, trip)
         whole = np.rint((self.start[n + 1] - begin) / trip)
         returned = trips / whole  # R + R² + ..., over the sum of all round trips
-        if end < 1.0:
-            returned = (1.0 - end**trips) / (1.0 - end**whole)
+        if reflects < 1.0:
+            returned = (1.0 - reflects**trips) / (1.0 - reflects**whole)
         gap, before, then = (
             self._scaled_states(at)[:, 1] for at in (begin, begin - trip, begin - trip + rest)
         )
@@ -163,7 +163,7 @@ class Motion:
         opened = self.states[n + 1, 1, 0] - gap - evenly * whole
         found[inside, 1] = gap + evenly * trips + opened * returned
         evenly *= rest / trip
-        found[inside, 1] += evenly + (then - before - evenly) * end ** (trips + 1.0)
+        found[inside, 1] += evenly + (then - before - evenly) * reflects ** (trips + 1.0)
         return found
 
     def states_at(self, times: Array) -> Values:
@@ -241,7 +241,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
         breaks=pulse.breaks[rows] / time[:, None],
         coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
         frequencies=pulse.frequency[rows] * time,
-        horizon=scene.record_end[rows] / time,
+        record_end=scene.record_end[rows] / time,
         poles=poles,
         speed=scene.start[rows, 0] / scales.speed,
     )
@@ -279,7 +279,7 @@ def task_of(
         tolerance=tolerance,
         has_laws=not scene.by_hertz,
         rigged=not scene.by_wave,
-        stop_at_loss=not scene.whole_record,
+        stop_at_loss=scene.by_wave and not scene.whole_record,
     )
 
 
@@ -314,7 +314,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     from .kernel import march
 
     wanted = task.wanted
-    local, yielded_share = _local_errors(task, bool(np.isfinite(rows.horizon).all()))
+    local, yielded_share = _local_errors(task, bool(np.isfinite(rows.record_end).all()))
     power = 2.0 / 3.0
     if task.mode == tracked.LINEAR:
         power = 1.0
@@ -587,7 +587,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
         # sphere moves at the end
         speed = look["sphere_speed"]
         astray = np.abs(speed - before["sphere_speed"]) > _ASTRAY * np.abs(speed)
-        astray &= echoing[again] & (look["ended"] >= rows.horizon[again] * (1.0 - 1e-12))
+        astray &= echoing[again] & (look["ended"] >= rows.record_end[again] * (1.0 - 1e-12))
         undecided = _undecided(answers[again], task)
         counted[again] &= ~done | (differs["duration"] > _FIRM)
         grazes = tracked.GRAZES * (undecided | counted[again])
@@ -608,7 +608,7 @@ def _undecided(answers: Any, task: Task) -> Flags:
     if asked and task.tolerance == task.requested:
         blur = _FIRST_LOOK * blur
         last = _FIRM * last  # it is a bound: one tolerance
-    if task.stop_at_loss and not task.rigged:
+    if task.stop_at_loss:
         asked = task.wanted & tracked.BY_LOSS
     lost = np.nan_to_num(answers["contact"])
     # a loss that may be none at all has `grazed` 0, so that it moves by all of its time
