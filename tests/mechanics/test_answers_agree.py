@@ -191,3 +191,15 @@ def test_waves_lower_the_restitution_of_a_thick_target() -> None:
     for name in ("restitution", "rebound_speed", "transmitted_energy"):
         alone = solve_scene(scene, quantities=(name,)).values[name][0]
         assert alone == pytest.approx(values[name][0], rel=1e-12)
+
+
+@pytest.mark.parametrize(("rig", "kind"), [("impact", "plate"), ("drop_weight", "mass")])
+@pytest.mark.parametrize("name", ["restitution", "rebound_speed"])
+def test_what_little_is_left_of_a_speed_keeps_its_tolerance(rig: str, kind: str, name: str) -> None:
+    """The error was one of the closing speed: up to 40 tolerances of what was left."""
+    scene = random_scene(rig, kind, "plastic")
+    exact, found = (
+        solve_scene(scene, tolerance=tolerance, quantities=(name,)).values[name]
+        for tolerance in (1e-11, 1e-6)
+    )
+    assert np.abs(found / exact - 1.0).max() < 1e-6

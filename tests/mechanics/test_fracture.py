@@ -17,7 +17,7 @@ from uqsphere.mechanics.closed_form import loading_time, solve_closed
 from uqsphere.mechanics.criteria import CRITERIA, demand
 from uqsphere.mechanics.fracture import LoadingPath, first_fractures, path_of, static_fractures
 from uqsphere.mechanics.history import trace
-from uqsphere.mechanics.integrator.solve import solve
+from uqsphere.mechanics.integrator.solve import Motion, motions, solve
 from uqsphere.mechanics.scene import Scene
 from uqsphere.results.types import Kind
 from uqsphere.study import load_study
@@ -255,18 +255,21 @@ def test_a_run_of_the_linear_model_tells_the_force_at_which_its_spheres_break(
     assert all(6400.0 <= force <= 6500.0 for force in forces)
 
 
+#: a sphere whose numbers are all fixed, and which breaks by its strengths
+FIXED = """
+sphere = { E = "60 GPa", nu = 0.25, radius = "8 mm", density = "2600 kg/m3" }
+rig = { kind = "impact", speed = "3 m/s" }
+target = { kind = "thick", material = "steel" }
+contact.law = "hertz"
+limits.pressure = { quantity = "p_max", aim = "survive", strength = { \
+    dist = "lognormal", mean = "2.5 GPa", cov = 0.2 } }
+limits.core = { quantity = "core_tension", aim = "survive", strength = { \
+    dist = "lognormal", mean = "24 MPa", cov = 0.2 } }
+"""
+
+
 def test_a_sphere_whose_numbers_are_all_fixed_breaks_by_its_strengths(tmp_path: Path) -> None:
-    text = """
-        sphere = { E = "60 GPa", nu = 0.25, radius = "8 mm", density = "2600 kg/m3" }
-        rig = { kind = "impact", speed = "3 m/s" }
-        target = { kind = "thick", material = "steel" }
-        contact.law = "hertz"
-        limits.pressure = { quantity = "p_max", aim = "survive", strength = {
-            dist = "lognormal", mean = "2.5 GPa", cov = 0.2 } }
-        limits.core = { quantity = "core_tension", aim = "survive", strength = {
-            dist = "lognormal", mean = "24 MPa", cov = 0.2 } }
-        """
-    study = load_study(tmp_path / "study.toml", text=text.replace("= {\n            ", "= { "))
+    study = load_study(tmp_path / "study.toml", text=FIXED)
     results = uqsphere.run(study).results
     [broken] = results.where("fracture", Kind.EXCEEDANCE_PROBABILITY)
     each = [
@@ -277,6 +280,28 @@ def test_a_sphere_whose_numbers_are_all_fixed_breaks_by_its_strengths(tmp_path: 
     shares = [row.value for row in results.where("fracture", Kind.MODE_SHARE)]
     assert sum(share or 0.0 for share in shares) == pytest.approx(1.0)
     assert all(row.value for row in results.where("fracture", Kind.TIME_AT_FRACTURE))
+
+
+def test_spheres_that_cannot_be_followed_tell_nothing_of_their_fracture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every third sphere without a motion, once counted as broken at once, by nothing."""
+    study = load_study(tmp_path / "study.toml", text=FIXED)
+    whole = uqsphere.run(study).results
+
+    def some(scene: Scene, rows: Any, **settings: Any) -> list[Motion | int]:
+        moved = motions(scene, rows, **settings)
+        return [3 if row % 3 == 0 else found for row, found in zip(rows, moved, strict=True)]
+
+    monkeypatch.setattr("uqsphere.mechanics.fracture.motions", some)
+    results = uqsphere.run(study).results
+    shares = [row.value or 0.0 for row in results.where("fracture", Kind.MODE_SHARE)]
+    assert sum(shares) == pytest.approx(1.0)
+    for kind in (Kind.TIME_AT_FRACTURE, Kind.FORCE_AT_FRACTURE, Kind.ENERGY_AT_FRACTURE):
+        pairs = zip(results.where("fracture", kind), whole.where("fracture", kind), strict=True)
+        for row, before in pairs:
+            assert row.value == pytest.approx(before.value, rel=0.1)
+            assert row.runs < before.runs
 
 
 def test_a_run_without_a_motion_tells_what_breaks_and_not_when(tmp_path: Path) -> None:

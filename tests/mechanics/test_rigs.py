@@ -20,6 +20,7 @@ from uqsphere.mechanics.fracture import LoadingPath, first_fractures, path_of
 from uqsphere.mechanics.integrator import solve as dynamics
 from uqsphere.mechanics.integrator import tracked
 from uqsphere.mechanics.outputs import OUTPUTS, SceneAnswers, absent_in, loss_to_waves
+from uqsphere.mechanics.roots import bisect
 from uqsphere.mechanics.scene import Scene
 from uqsphere.mechanics.validity import check_validity
 from uqsphere.models.scene import solve_scene
@@ -416,7 +417,6 @@ def test_platens_are_static() -> None:
     assert found["P_max"] == pytest.approx(beta * way**1.5, rel=1e-12)
     assert found["energy"] == pytest.approx(0.4 * 4230.0 * way, rel=1e-12)
     assert found["specific_energy"] == pytest.approx(22.9, abs=0.05)
-    assert found["loading_rate"] == pytest.approx(1.5 * 4230.0 * 1e-5 / way, rel=1e-12)
     for law, more in (("hertz", {}), ("plastic", {"platens.yield_strength": 834e6})):
         forced = scene("platens", {**steel, **more, "platens.force": 4230.0}, contact_law=law)
         each = float(solved(forced, "alpha_max").values["alpha_max"][0])
@@ -431,6 +431,27 @@ def test_platens_are_static() -> None:
             contact_law=law,
         )
         assert solved(moved, "P_max").values["P_max"][0] == pytest.approx(4230.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("more", [{}, {"platens.yield_strength": 834e6}])
+def test_platens_rise_from_a_tenth_to_nine_tenths_of_the_force(more: dict[str, float]) -> None:
+    """The force at a speed is that at the displacement so far, looked up at both thresholds."""
+    law = "plastic" if more else "hertz"
+    machine = {**LIMESTONE, **of("platens"), **more, "platens.machine_stiffness": 1e8}
+    speed = {"platens.speed": 1e-5}
+    found = solved(scene("platens", {**machine, **speed, "platens.force": 4230.0}, contact_law=law))
+
+    def force_at(ways: np.ndarray) -> np.ndarray:
+        moved = scene("platens", {**machine, "platens.displacement": ways}, contact_law=law)
+        return solved(moved, "P_max").values["P_max"]
+
+    ways = bisect(lambda ways: force_at(ways) < [423.0, 3807.0], np.zeros(2), np.full(2, 1e-3))[0]
+    rise = np.diff(ways) / 1e-5
+    assert found.values["rise_time"] == pytest.approx(rise, rel=1e-9)
+    assert found.values["loading_rate"] == pytest.approx(0.8 * 4230.0 / rise, rel=1e-9)
+    rate = {"platens.loading_rate": 5e3}
+    steady = solved(scene("platens", {**machine, **rate, "platens.force": 4230.0}, contact_law=law))
+    assert steady.values["loading_rate"] == pytest.approx(5e3, rel=1e-12)
 
 
 def test_one_contact_has_half_of_what_lives_at_the_centre() -> None:

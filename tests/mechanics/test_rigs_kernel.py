@@ -77,7 +77,7 @@ def arguments(rows: list[Row]) -> tracked.Rows:
         breaks=np.zeros((n, 1)),
         coefficients=np.zeros((n, 0, 4)),
         frequencies=np.zeros(n),
-        horizon=np.full(n, np.inf),
+        record_end=np.full(n, np.inf),
         poles=poles,
         speed=np.array([row["speed"] for row in rows]),
     )
@@ -91,7 +91,7 @@ TASK = Task(
     requested=1e-8,
     has_laws=True,
     rigged=True,
-    stop_at_loss=True,
+    stop_at_loss=False,
 )
 
 
@@ -452,7 +452,7 @@ def test_the_bodies_never_close() -> None:
 
 def test_a_record_that_ends_while_pressed_has_no_answer() -> None:
     given = arguments([rig(speed=1.0, B={})])
-    given.horizon[:] = 1.0
+    given.record_end[:] = 1.0
     answers, _ = march_rows(given, replace(TASK, tolerance=1e-6))
     assert answers["status"][0] == tracked.STILL_PRESSED
 

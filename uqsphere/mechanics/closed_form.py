@@ -397,22 +397,27 @@ def _pressed(scene: Scene) -> ColumnMap:
     else:
         force = _force_at(partner, c["platens.displacement"], softness)
     face = partner.face
-    if face is None:
-        approach = contact.approach_at_force(force, partner.hertz_constant)
-        slope = 1.5 * force / approach
-        stored = 0.4 * force * approach
-    else:
-        depth = face.depth_at(force)
-        approach = depth * face.onset_approach
-        slope = face.slope(depth) * face.onset_force / face.onset_approach
-        stored = face.pressed(depth).stored
-    rate = c.get("platens.loading_rate", scene.column("platens.speed") / (2.0 / slope + softness))
+
+    def pressed(force: Array) -> Pair:
+        """Approach and energy of one contact."""
+        if face is None:
+            approach = contact.approach_at_force(force, partner.hertz_constant)
+            return approach, 0.4 * force * approach
+        state = face.pressed(face.depth_at(force))
+        return state.alpha_max, state.stored
+
+    approach, stored = pressed(force)
+    if "platens.loading_rate" in c:
+        rise = 0.8 * force / c["platens.loading_rate"]
+    else:  # both contacts and the machine give way
+        way = 2.0 * (pressed(0.9 * force)[0] - pressed(0.1 * force)[0]) + 0.8 * force * softness
+        rise = way / scene.column("platens.speed")
     return {
         **dict.fromkeys(("x_max", "x_a", "x_b"), approach / scales.approach),
         **dict.fromkeys(("other_a", "other_b", "mean_force"), force / scales.force),
         **dict.fromkeys(("difference", "ended"), 0.0),
         "stored": 2.0 * stored / (scales.force * scales.approach),
-        "rise": 0.8 * force / rate / scales.time,
+        "rise": rise / scales.time,
     }
 
 

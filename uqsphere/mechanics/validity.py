@@ -340,9 +340,7 @@ def _over_onset(pressure: Values, onset: Array) -> Values:
 
 def _extreme(choose: np.ufunc, numbers: Sequence[Array]) -> Values | None:
     """The largest or smallest of the numbers of several contacts; None without one."""
-    if not numbers:
-        return None
-    return choose.reduce(numbers)
+    return choose.reduce(numbers) if numbers else None
 
 
 #: method of `Measures` that gives the end of the sentence on a breach
@@ -426,9 +424,7 @@ def _check(rule: Rule, measures: Measures, measured: Array) -> ValidityCheck:
 
 def _rows_text(fraction: float) -> str:
     """Which rows break a check."""
-    if fraction == 1.0:
-        return "all samples"
-    return f"{100.0 * fraction:.3g} % of the samples"
+    return "all samples" if fraction == 1.0 else f"{100.0 * fraction:.3g} % of the samples"
 
 
 # --- ranges of criteria ---------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from those that break.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -278,17 +279,26 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     if isinstance(fractures, str):
         yield from _not_known(fractures, limits)
         return
-    first = fractures.first.reshape(shape)
+    # spheres that could not be followed are left out, as many of each replicate
+    lost = fractures.first.reshape(shape) < 0
+    followed = np.flatnonzero(~lost.all(axis=1))
+    count = shape[1] - lost[followed].sum(axis=1).max()
+    places = np.argsort(lost[followed], axis=1, kind="stable")[:, :count]
+    weights = drawn.weights[followed] / drawn.weights[followed].mean()
+
+    def told(column: Any) -> Any:
+        return np.take_along_axis(column.reshape(shape)[followed], places, axis=1)
+
+    first = told(fractures.first)
     for k, limit in enumerate(limits):
-        by_mode = share(first == k, METHOD, weights=drawn.weights)
+        by_mode = share(first == k, METHOD, weights=weights)
         yield estimate_row("fracture", "mode_share", by_mode, limit.name, runs=first.size)
     for name in STATE:
-        values = getattr(fractures, name)
-        filled = np.where(np.isfinite(values), values, 0.0).reshape(shape)
+        values = told(getattr(fractures, name))
         for p in QUANTILES:
             estimate = absent(TIMELESS, METHOD, 0)
-            if filled.any():
-                estimate = weighted_quantile(filled, drawn.weights, p, METHOD, first.size)
+            if np.isfinite(values).all():
+                estimate = weighted_quantile(values, weights, p, METHOD, first.size)
             yield estimate_row("fracture", f"{name}_at_fracture", estimate, p, runs=first.size)
 
 

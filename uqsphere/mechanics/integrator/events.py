@@ -221,13 +221,14 @@ def passage(s, j, kind, level, sign, begin, end):
 
 
 @compiled
-def _deepest(s, j, m, end, deepest):
-    """Largest approach of a face in [0, end] and its theta, or `deepest` and -1 if that is larger.
+def _deepest(s, j, m, ending, deepest):
+    """Largest approach of a face in [0, ending] and its theta, or `deepest` and -1 if that is
+    larger.
 
     A peak between two nodes is that of the cubic through both, mended by Newton's method on the
     series until what is left is a thousandth of the error of the step.
     """
-    width = end / POINTS
+    width = ending / POINTS
     place = -1.0
     allowed = 1e-3 * s.error[j] * s.size[m]
     for i in range(POINTS + 1):
@@ -275,13 +276,13 @@ def _deepest(s, j, m, end, deepest):
 
 
 @compiled
-def _highest(s, j, kind, end, highest):
-    """Largest size in [0, end] of a function of both faces, or `highest` if that is larger.
+def _highest(s, j, kind, ending, highest):
+    """Largest size in [0, ending] of a function of both faces, or `highest` if that is larger.
 
     Only the difference of the forces may be negative.
     """
     b = LANES + j
-    width = end / POINTS
+    width = ending / POINTS
     left = 0.0
     left_slope = 0.0
     for i in range(POINTS + 1):
@@ -314,8 +315,8 @@ def _set_loss_level(s, j):
     `faint`, that error, is the tolerance of this look times the scale of the larger approach, times
     the share that is left of the error allowed in one step (less once a face has yielded, and from
     `kernel.FREE_STEPS` on).  In a look closer than what is requested every step may have erred by
-    as much, and all one way.  Only a face that has been well above what is faint (`touched`) can
-    lose contact.
+    as much, and all one way.  Only a face that has been well above what is faint
+    (`was_pressed`) can lose contact.
     """
     lane = s.lane[j]
     steps = 0
@@ -333,54 +334,54 @@ def _first_event(s, j):
     changes.
     """
     lane = s.lane[j]
-    ends = s.theta[j]
+    ending = s.theta[j]
     for face in range(2):
         m = face * LANES + j
         at = inf
         if s.x[0, m] > 0.0:
-            if lane.touched[face] > 0.0 and s.floor[m] <= lane.loss_level:
-                _note_graze(s, j, face, ends)
-                at = passage(s, j, face, 0.0, -1.0, 0.0, ends)
+            if lane.was_pressed[face] > 0.0 and s.floor[m] <= lane.loss_level:
+                _note_graze(s, j, face, ending)
+                at = passage(s, j, face, 0.0, -1.0, 0.0, ending)
         elif (s.x[0, m] < 0.0 or s.x[1, m] < 0.0) and s.top[m] > 0.0:
             # a face that left at the start of this step is clear of zero a little later
             clear = 0.0
             if s.x[0, m] == 0.0:
-                clear = 1e-3 * ends
-            at = passage(s, j, face, 0.0, 1.0, clear, ends)
-        if at <= ends:
-            ends = at
+                clear = 1e-3 * ending
+            at = passage(s, j, face, 0.0, 1.0, clear, ending)
+        if at <= ending:
+            ending = at
             lane.ended_by = End.TOUCHED
             if s.x[0, m] > 0.0:
                 lane.ended_by = End.LOST
             lane.side = face
         if s.has_laws and not lane.from_touch:
-            at = _branch_end(s, j, face, ends)
-            if at < ends or (at == ends and lane.ended_by == End.SERIES):
-                ends = at
+            at = _branch_end(s, j, face, ending)
+            if at < ending or (at == ending and lane.ended_by == End.SERIES):
+                ending = at
                 lane.ended_by = End.BRANCH
                 lane.side = face
-    return ends
+    return ending
 
 
 @compiled
-def _branch_end(s, j, face, end):
+def _branch_end(s, j, face, ending):
     """theta at which a face changes its branch, or inf: on virgin loading it turns; a spring is at
     its largest approach so far again.
     """
     m = face * LANES + j
-    width = end / POINTS
+    width = ending / POINTS
     if s.spring[m] == 0.0:
         for i in range(POINTS):
             begin = i * width
             rate, _ = _bend_of(s, m, begin)
             if rate > 0.0:  # where the loading begins the rate may be zero but for rounding
-                return passage(s, j, RATE + face, 0.0, -1.0, begin, end)
+                return passage(s, j, RATE + face, 0.0, -1.0, begin, ending)
         return inf
     largest = s.largest[m] - s.dent[m]
     if s.top[m] < largest * (1.0 - ARMED):
         return inf
     if s.x[0, m] < largest * (1.0 - ARMED):
-        return passage(s, j, face, largest, 1.0, 0.0, end)
+        return passage(s, j, face, largest, 1.0, 0.0, ending)
     # from its largest approach a spring goes down; after a shallow turn it may come up through it
     # again within the step
     for i in range(1, POINTS + 1):
@@ -397,7 +398,7 @@ def _branch_end(s, j, face, end):
 
 
 @compiled
-def _note_loss(s, j, ends):
+def _note_loss(s, j, ending):
     """A loss of contact, and how far the error of the approach may move it: by its blur; the first
     one back to `grazed`, when the approach first came so near to zero.
 
@@ -405,15 +406,15 @@ def _note_loss(s, j, ends):
     the loss counts as moved by all of its time (`solve._undecided`), where the error may undo it.
     """
     lane = s.lane[j]
-    rate, bow = _bend_of(s, lane.side * LANES + j, ends)
-    lane.parted = lane.time + ends * s.h[j]
+    rate, bow = _bend_of(s, lane.side * LANES + j, ending)
+    lane.parted = lane.time + ending * s.h[j]
     lane.parted_blur = lane.faint * s.h[j] / -rate
     if not math.isnan(lane.lost):
         return
     lane.lost = lane.parted
     lane.blur = lane.parted_blur
     # how deep a gap opens before the approach turns, or the waves jump
-    depth = -rate * ((lane.next_jump - lane.time) / s.h[j] - ends)
+    depth = -rate * ((lane.next_jump - lane.time) / s.h[j] - ending)
     if bow > 0.0:
         depth = min(depth, 0.5 * rate * rate / bow)
     if depth < lane.faint:
@@ -423,42 +424,42 @@ def _note_loss(s, j, ends):
 
 
 @compiled
-def _note_graze(s, j, face, ends):
+def _note_graze(s, j, face, ending):
     """When the approach of a face first comes so near to zero, before any loss, that its error may
     decide on one.
     """
     lane = s.lane[j]
     if s.wanted & tracked.BY_LOSS and math.isnan(lane.lost) and math.isnan(lane.grazed):
-        at = passage(s, j, face, lane.faint, -1.0, 0.0, ends)
+        at = passage(s, j, face, lane.faint, -1.0, 0.0, ending)
         if at < inf:
             lane.grazed = lane.time + s.h[j] * at
 
 
 @compiled
-def _end_in_tail(s, j, ends):
+def _end_in_tail(s, j, ending):
     """theta at which a step ends between infinite bars once the pulse is over: where the record
     does, with both approaches below a share of the largest, if that comes first.
     """
     lane = s.lane[j]
     lane.record_level = tail_level(s, j)
-    at = _both_below(s, j, lane.record_level, ends)
-    if at <= ends:
-        ends = at
+    at = _both_below(s, j, lane.record_level, ending)
+    if at <= ending:
+        ending = at
         lane.ended_by = End.RECORD
-        _end_sooner(s, j, ends)
-    return ends
+        _end_sooner(s, j, ending)
+    return ending
 
 
 @compiled
-def _both_below(s, j, level, end):
-    """First theta in [0, end] at which both approaches lie below `level`, or inf."""
+def _both_below(s, j, level, ending):
+    """First theta in [0, ending] at which both approaches lie below `level`, or inf."""
     if higher(s.floor, j) >= level:
         return inf
     at = 0.0
     for _ in range(8 * POINTS):
         before = at
         for face in range(2):
-            at = passage(s, j, face, level, -1.0, at, end)
+            at = passage(s, j, face, level, -1.0, at, ending)
             if at == inf:
                 return at
         if at == before:
@@ -467,19 +468,19 @@ def _both_below(s, j, level, end):
 
 
 @compiled
-def _end_sooner(s, j, ends):
+def _end_sooner(s, j, ending):
     """What `lanes.survey` says of a step, up to an event that ends it."""
     for i in range(POINTS + 1):
         for m in range(j, PAIR, LANES):
-            s.at[i, m], s.rate[i, m] = rise_of(s.x, m, ends * i / POINTS)
-    s.u_at_end[j] = value_of(s.u, j, ends)
+            s.at[i, m], s.rate[i, m] = rise_of(s.x, m, ending * i / POINTS)
+    s.u_at_end[j] = value_of(s.u, j, ending)
     if not s.wanted & tracked.WANT_DURATION:
         return
     for m in range(j, PAIR, LANES):
         impulse = 0.0
         for k in range(ORDER, -1, -1):
-            impulse = impulse * ends + s.force[k, m] * OF_POWERS[k]
-        s.step_impulse[m] = impulse * ends
+            impulse = impulse * ending + s.force[k, m] * OF_POWERS[k]
+        s.step_impulse[m] = impulse * ending
 
 
 @compiled
@@ -494,24 +495,24 @@ def after_step(s, j):
     """
     lane = s.lane[j]
     _set_loss_level(s, j)
-    ends = _first_event(s, j)
-    if ends < s.theta[j]:
-        _end_sooner(s, j, ends)
-    _note_approaches(s, j, ends)
-    _note_largest(s, j, ends)
-    if not s.rigged and lane.horizon == inf and lane.time >= lane.pulse_end:
-        ends = _end_in_tail(s, j, ends)
+    ending = _first_event(s, j)
+    if ending < s.theta[j]:
+        _end_sooner(s, j, ending)
+    _note_approaches(s, j, ending)
+    _note_largest(s, j, ending)
+    if not s.rigged and lane.record_end == inf and lane.time >= lane.pulse_end:
+        ending = _end_in_tail(s, j, ending)
     if lane.ended_by == End.LOST:
-        _note_loss(s, j, ends)
+        _note_loss(s, j, ending)
     if s.wanted & tracked.WANT_AFTER:
-        _note_squared_forces(s, j, ends)
+        _note_squared_forces(s, j, ending)
     if s.wanted & tracked.WANT_DURATION:
-        _note_impulse(s, j, ends)
-    return ends
+        _note_impulse(s, j, ending)
+    return ending
 
 
 @compiled
-def _note_approaches(s, j, ends):
+def _note_approaches(s, j, ending):
     """The largest approach of each face so far, and the force of the other face there."""
     lane = s.lane[j]
     for face in range(2):
@@ -519,14 +520,14 @@ def _note_approaches(s, j, ends):
         place = -1.0
         if face_yielded(s, m):
             if s.spring[m] == 0.0:
-                place = ends  # on virgin loading it is at its deepest at the end
+                place = ending  # on virgin loading it is at its deepest at the end
         elif s.top[m] > lane.peak[face]:
-            lane.peak[face], place = _deepest(s, j, m, ends, lane.peak[face])
+            lane.peak[face], place = _deepest(s, j, m, ending, lane.peak[face])
         if not s.has_laws:  # faces that are alike share the largest approach so far
             lane.peak[1 - face] = lane.peak[face]
-        # well above what is faint a face has touched, by half of the errors that may add up
+        # a face is pressed well above what is faint: above half of the errors that may add up
         if s.at[POINTS, m] > max(0.5 * ADDED_UP * s.error[j], 2.0 * s.requested) * s.size[m]:
-            lane.touched[face] = 1.0
+            lane.was_pressed[face] = 1.0
         if place >= 0.0:
             lane.retouches_at_value = lane.retouches
             if s.rigged:
@@ -535,13 +536,13 @@ def _note_approaches(s, j, ends):
 
 
 @compiled(inline=True)
-def _note_largest(s, j, ends):
+def _note_largest(s, j, ending):
     """The largest values of functions of both faces so far."""
     lane = s.lane[j]
     for kind in range(DIFFERENCE, KINDS):
         if follows(s, kind) and _bound(s, j, kind) > lane.peak[kind]:
             before = lane.peak[kind]
-            lane.peak[kind] = _highest(s, j, kind, ends, before)
+            lane.peak[kind] = _highest(s, j, kind, ending, before)
             # a difference behind the last largest force does not count
             if kind > DIFFERENCE and lane.peak[kind] > before:
                 lane.retouches_at_value = lane.retouches
@@ -611,7 +612,7 @@ def first_at(s, j, past, level):
         earlier = past[j, n]
         if earlier.crest < level:
             continue
-        end = earlier.holds / earlier.unit
+        ending = earlier.holds / earlier.unit
         best = inf
         for face in range(2):
             m = face * LANES + j
@@ -623,7 +624,7 @@ def first_at(s, j, past, level):
                 height = approach_at(s, m, level) - earlier.dent[face]
             for k in range(TERMS):
                 s.x[k, m] = earlier.path[face, k]
-            best = min(best, passage(s, j, face, height, 1.0, 0.0, end))
+            best = min(best, passage(s, j, face, height, 1.0, 0.0, ending))
         if best < inf:
             return earlier.began + best * earlier.unit
     return nan

@@ -107,7 +107,7 @@ def _round_trips_open(s, j, bar, past, ahead):
     opens = _opened_by_echoes(s, j, bar, past)
     trips = _trips_open(-s.x[0, bar * LANES + j], rate * trip, opens, lane.reflect[bar])
     never = trips > _FOREVER
-    trips = min(min(trips, _FOREVER), min(ahead, lane.horizon - lane.time) / trip)
+    trips = min(min(trips, _FOREVER), min(ahead, lane.record_end - lane.time) / trip)
     whole = math.ceil(trips) - 1
     if whole < 1 or (never and ahead == inf):
         return never, 0, 0.0
@@ -115,11 +115,11 @@ def _round_trips_open(s, j, bar, past, ahead):
 
 
 @compiled
-def _trips_open(gap, closes, opens, end):
+def _trips_open(gap, closes, opens, reflects):
     """Round trips for which a gap stays open, at least.
 
     It closes by `closes` in each without echoes; these open it by `opens` in the first one, and by
-    `end` times as much in each that follows.
+    `reflects` times as much in each that follows.
     """
     if closes <= 0.0:
         return inf
@@ -128,9 +128,9 @@ def _trips_open(gap, closes, opens, end):
     # then add up to exceed n - n (n - 1) (1 - R)/2; for ever where R is 1, since division by zero
     # is infinite here
     trips = gap / closes
-    holds = opens + (1.0 - end) * gap
+    holds = opens + (1.0 - reflects) * gap
     if holds > closes:
-        trips = max(trips, 1.0 + 2.0 * (1.0 - closes / holds) / (1.0 - end))
+        trips = max(trips, 1.0 + 2.0 * (1.0 - closes / holds) / (1.0 - reflects))
     return trips
 
 
@@ -143,11 +143,11 @@ def _leap(s, j, bar, past, trips, opens):
     two round trips ago or more, so that no force was first reached in one (`events.first_at`).
     """
     lane = s.lane[j]
-    end = lane.reflect[bar]
+    reflects = lane.reflect[bar]
     length = trips * lane.trips[bar]
-    left = end**trips  # share of the waves
-    if end < 1.0:
-        opens *= (1.0 - left) / (1.0 - end)
+    left = reflects**trips  # share of the waves
+    if reflects < 1.0:
+        opens *= (1.0 - left) / (1.0 - reflects)
     else:
         opens *= trips
     s.x[0, bar * LANES + j] -= opens
@@ -159,4 +159,4 @@ def _leap(s, j, bar, past, trips, opens):
         for k in range(TERMS):
             earlier.wave[k, bar] *= left
     lane.time += length
-    lane.next_jump = min(lane.next_jump + length, lane.horizon)
+    lane.next_jump = min(lane.next_jump + length, lane.record_end)

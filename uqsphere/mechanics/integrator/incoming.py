@@ -67,7 +67,7 @@ def enter_piece(s, j, rows):
 def next_break(s, j, rows):
     """The next time at which a step of a lane has to end: pulse, reflections, end of the record."""
     lane = s.lane[j]
-    best = lane.horizon
+    best = lane.record_end
     r = lane.number
     near = now(lane)
     for k in range(rows.breaks.shape[1]):
@@ -89,7 +89,7 @@ def reflect_break(s, j):
     lane = s.lane[j]
     for bar in range(2):
         back = lane.time + lane.trips[bar]
-        if back < lane.horizon:
+        if back < lane.record_end:
             if lane.tail[bar] - lane.head[bar] >= QUEUE:
                 return False
             s.queue[bar, j, lane.tail[bar] % QUEUE] = back

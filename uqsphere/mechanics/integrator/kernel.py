@@ -11,26 +11,19 @@ lane one step:
     enter     idle lanes take the next rows
     waves     how long the step may be; what runs towards the sphere in it, theory (4) and (5)
     series    the motion as a power series, theory (9) or (R3), and how far it holds (`lanes`);
-              from a touch, where it does not, by Runge-Kutta (`touch`)
+              from a touch, where it has none, by Runge-Kutta (`touch`)
     holds     a step that does not hold is tried again, shorter or on the other branch of a face
     events    where in the step a face leaves, touches, yields or is pressed deepest (`events`)
     keep      what is read again of it: the waves that leave, the path
     go on     the next state (`_move_on`), the round trips of a rig in which nothing happens
               (`flights`), the next length (`_propose`) and jump of the waves (`_jump`)
-    end       whether the record ends there (`_over_at_loss`, `_fate`): then the lane leaves
-              (`_leave`) with its answers (`records.finish`)
+    end       whether the record ends there (`records.status_of_record`): then the lane leaves
+              (`_leave`) with its answers (`records.finish`); so it does for want of room (`_room`)
 
 Names that mean the same everywhere: `s`, all lanes (`tracked.STATE`); `j`, the number of a lane,
 and `lane`, what it knows (`tracked.LANE`); `face`, 0 at A and 1 at B, and `m`, its column in the
 arrays of `s`, face LANES + j; `past`, the steps that are read again; `theta`, a share of the trial
 step, whose length is s.h[j]; `ending`, the share at which the step ends.
-
-A record ends at the horizon; between infinite bars without one, once the pulse is over, when both
-forces are below a share of the largest for the first time; of a rig once no gap can close
-again.  It ends sooner where nothing that is wanted can change any more: no largest value
-can grow under a steady wave, or by the energy that the bodies of a rig have left
-(`records.no_later_peak`); or, at a loss of contact, no approach can (`records.no_higher_approach`)
-or no wave can press harder (`records.no_harder_squeeze`).
 
 `tracked` lists all fields with their units and who writes them.
 """
@@ -46,7 +39,6 @@ from .faces import (
     MOST_SWITCHES,
     face_force,
     higher,
-    is_pressed,
     largest_approach,
     lower,
     most_force,
@@ -147,7 +139,7 @@ def _enter(s, j, r, rows):
     pulse_end = rows.breaks[r, -1]
     lane.number = r
     lane.mass = rows.mass[r]
-    lane.horizon = rows.horizon[r]
+    lane.record_end = rows.record_end[r]
     lane.pulse_end = pulse_end * (1.0 - 1e-12)
     s.error[j] = s.local
     s.inverse_mu[j] = 1.0 / lane.mass
@@ -186,7 +178,7 @@ def _set_up_face(s, j, face, rows, level):
     new_face(s, m, pole)
     lane.reflect[face] = rows.reflections[lane.number, face]
     lane.trips[face] = rows.round_trips[lane.number, face]
-    lane.touched[face] = 1.0 - pole.there
+    lane.was_pressed[face] = 1.0 - pole.there
     s.gives[m] = pole.gives
     s.lightness[m] = pole.lightness
     s.there[m] = pole.there
@@ -266,6 +258,8 @@ def _series(s):
     for j in range(LANES):
         lane = s.lane[j]
         if lane.number >= 0:
+            if lane.from_touch:
+                touch.step_from_touch(s, j)
             _choose(s, j)
             _allow_root(s, j)
     lanes.shorten_to_roots(s)
@@ -281,9 +275,6 @@ def _choose(s, j):
     lane.ended_by = End.SERIES
     theta = min(s.theta[j], 1.0)
     left = lane.next_jump - lane.time
-    if lane.from_touch:
-        theta = 1.0
-        touch.step_from_touch(s, j)
     if theta * s.h[j] >= left * (1.0 - 1e-10):
         theta = 1.0
     elif 2.0 * theta * s.h[j] > left:
@@ -410,7 +401,7 @@ def _keep(s, j, ending, past):
                 step.path[face, k] = s.x[k, m]
     for bar in range(2):
         m = bar * LANES + j
-        if lane.time + lane.trips[bar] < lane.horizon:
+        if lane.time + lane.trips[bar] < lane.record_end:
             for k in range(TERMS):
                 step.wave[k, bar] = 0.5 * s.push[k, m] - s.gives[m] * s.force[k, m]
 
@@ -470,48 +461,24 @@ def _go_on(s, j, ending, past, rows):
     if s.rigged and not lane.from_touch:
         ahead = flights.fly_on(s, j, past)
     _propose(s, j, ending, at_jump, ahead)
-    crowded = False
-    if at_jump and lane.time < lane.horizon:
-        crowded = not _jump(s, j, rows)
-    # in the tail between infinite bars; in a rig whose gaps never close again; at a loss of contact
-    over = lane.ended_by == End.RECORD or ahead == inf
-    if over or (lane.ended_by == End.LOST and _over_at_loss(s, j, ending, past)):
-        lane.fate = OK
-    else:
-        lane.fate = _fate(s, j, at_jump, crowded)
-
-
-@compiled
-def _over_at_loss(s, j, ending, past):
-    """Whether the record of bars ends at a loss of contact: nothing larger can come behind it."""
-    if s.rigged or not s.stop_at_loss:
-        return False
-    records.note_loading(s, j, 0.0)
-    return records.no_higher_approach(s, j) or records.no_harder_squeeze(s, j, ending, past)
+    crowded = at_jump and lane.time < lane.record_end and not _jump(s, j, rows)
+    lane.fate = records.status_of_record(s, j, ending, past, ahead)
+    if lane.fate == GOES_ON:
+        lane.fate = _room(s, j, crowded)
 
 
 @compiled(inline=True)
-def _fate(s, j, at_jump, crowded):
-    """Status with which a row ends where it stands now, or `GOES_ON`: at its horizon, once the
-    waves are steady, or for want of room.
-    """
+def _room(s, j, crowded):
+    """Status with which a row is given up for want of room, or `GOES_ON`."""
     lane = s.lane[j]
-    if at_jump and lane.time >= lane.horizon:
-        if s.rigged and is_pressed(s, j):
-            return tracked.STILL_PRESSED
-        return OK
     if crowded:
         return tracked.CROWDED
-    # where nothing that is wanted can change any more
-    may_end = s.rigged or lane.steady_level != tracked.CHANGING
-    if may_end and not lane.from_touch and records.no_later_peak(s, j):
-        return OK
     # the first step that is read again: of the whole path, or of the waves of a round trip
     oldest = lane.count
     if s.wanted & tracked.WHOLE_PATH:
         oldest = 0
     for bar in range(2):
-        if lane.trips[bar] < inf and lane.time < lane.horizon:
+        if lane.trips[bar] < inf and lane.time < lane.record_end:
             oldest = min(oldest, max(lane.first[bar], 0))
     if lane.count >= LIMIT:
         return tracked.TOO_MANY_STEPS

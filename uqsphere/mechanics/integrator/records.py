@@ -1,4 +1,19 @@
-"""When a record ends: of a rig once no gap can close, of bars once no harder squeeze can come.
+"""When a record ends, and what a row comes to whose record has ended.
+
+`status_of_record` is asked behind each step.  A record ends
+
+    of infinite bars  once the pulse is over, when both forces first are below a share of the
+                      largest, unless a horizon is set (`events._end_in_tail`)
+    of a rig          when every gap is open and none can close again (`flights.fly_on`)
+    of bars           at a loss of contact behind which no approach can be higher, or the faces can
+                      squeeze the sphere no harder, unless the whole record is asked for
+                      (`no_higher_approach`, `no_harder_squeeze`)
+    of any row        at `Scene.record_end`; a rig that is still pressed there has no answer
+                      where no largest value that is wanted can grow, and nothing else that is
+                      wanted can change (`no_later_peak`)
+
+For the last reason, and for `no_higher_approach`, the waves have to be steady: of bars once the
+pulse is over where no echo comes back; of a rig where no far end has R < 0.
 
 The record of two bars ends at the first loss of contact after which the faces can no longer squeeze
 the sphere harder than they have.  With s = (x_A + x_B)/2 the sphere's motion drops out of (9),
@@ -24,7 +39,7 @@ from math import inf
 from . import tracked
 from .compiled import compiled
 from .events import first_at, follows, highest_between, rise_of
-from .faces import largest_approach, largest_force, stored_energy
+from .faces import is_pressed, largest_approach, largest_force, stored_energy
 from .flights import closing_rate, rate_error
 from .incoming import step_end
 from .tracked import (
@@ -33,13 +48,17 @@ from .tracked import (
     ENERGY,
     FACE_A,
     FACE_B,
+    GOES_ON,
     KINDS,
     LANES,
     LINEAR,
     MASSLESS,
     MEAN,
+    OK,
     PAIR,
     SPHERE_ENERGY,
+    STILL_PRESSED,
+    End,
 )
 
 #: parts of a step of which a wave is bounded one by one
@@ -60,7 +79,7 @@ def _bound_waves(s, j, bar, past):
     """
     lane = s.lane[j]
     trip = lane.trips[bar]
-    least = max(trip / (CELLS - 2.0), 2.0 * (lane.horizon - lane.time) / _MOST_CELLS)
+    least = max(trip / (CELLS - 2.0), 2.0 * (lane.record_end - lane.time) / _MOST_CELLS)
     count = 0
     start = lane.time
     begin = lane.time - trip
@@ -74,7 +93,7 @@ def _bound_waves(s, j, bar, past):
         n += 1
     for step in range(n, lane.count):
         earlier = past[j, step & (s.ring - 1)]
-        if earlier.began + trip >= lane.horizon:
+        if earlier.began + trip >= lane.record_end:
             break
         first = max(begin - earlier.began, 0.0) / earlier.unit
         last = earlier.holds / earlier.unit
@@ -203,7 +222,8 @@ def no_harder_squeeze(s, j, theta, past):
 
 @compiled
 def _stays_below(s, j, squeeze, largest, stiffness):
-    """Whether s stays below `largest` up to the horizon under the bounds of the waves."""
+    """Whether s stays below `largest` up to the latest end of the record under the bounds of the
+    waves."""
     lane = s.lane[j]
     time = lane.time
     at_start = squeeze
@@ -216,7 +236,7 @@ def _stays_below(s, j, squeeze, largest, stiffness):
         s.cell_weight[bar] = lane.reflect[bar]
         alike = alike and (s.cells[bar] == 0 or lane.reflect[bar] == 1.0)
     for _ in range(_MOST_CELLS):
-        until = lane.horizon
+        until = lane.record_end
         drive = 0.0
         for bar in range(2):
             if s.cells[bar] > 0:
@@ -227,7 +247,7 @@ def _stays_below(s, j, squeeze, largest, stiffness):
             time = until
         if squeeze > largest:
             return False
-        if time >= lane.horizon:
+        if time >= lane.record_end:
             return True
         wrapped = False
         for bar in range(2):
@@ -366,6 +386,28 @@ def no_later_peak(s, j):
 
 
 @compiled
+def status_of_record(s, j, ending, past, ahead):
+    """Status with which a record ends where its step has ended, or `GOES_ON`.
+
+    ending: share of the trial step.  ahead: `flights.fly_on`, NaN while a face is pressed.
+    """
+    lane = s.lane[j]
+    if lane.ended_by == End.RECORD or ahead == inf:
+        return OK
+    if lane.ended_by == End.LOST and s.stop_at_loss:
+        note_loading(s, j, 0.0)
+        if no_higher_approach(s, j) or no_harder_squeeze(s, j, ending, past):
+            return OK
+    if lane.time >= lane.record_end:
+        if s.rigged and is_pressed(s, j):
+            return STILL_PRESSED
+        return OK
+    if not lane.from_touch and no_later_peak(s, j):
+        return OK
+    return GOES_ON
+
+
+@compiled
 def note_loading(s, j, left):
     """What counts up to the first loss of contact after a peak, if that has grown since it was last
     noted: impulse over peak of the mean force, (Q1); the largest difference of the forces, by their
@@ -393,7 +435,7 @@ def finish(s, j, past, out):
     lane = s.lane[j]
     # the tail between infinite bars, in which both faces are pressed, belongs to the record
     left = 0.0
-    if not s.rigged and lane.horizon == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
+    if not s.rigged and lane.record_end == inf and min(s.x[0, j], s.x[0, LANES + j]) > 0.0:
         left = 0.5 * (s.x[0, j] + s.x[0, LANES + j])
     note_loading(s, j, left)
     ended = step_end(s, j, past, lane.count - 1)

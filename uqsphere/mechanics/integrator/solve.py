@@ -45,10 +45,10 @@ _BLOCK = 512
 #: the many rows that need few; powers of two, from 16,384 on each twice the one before.  Only steps
 #: that are read again need room: how many a row may take is `kernel.LIMIT`
 _CAPACITIES = (1024, *(16_384 << k for k in range(5)))
-#: error allowed in one step over the tolerance: for most quantities; where the difference of the
-#: forces is asked for; where the record ends in the tail of the force; once a face has yielded, for
-#: the end of contact.  Measured by the sweep, each quantity asked for alone: each then keeps the
-#: tolerance
+#: error allowed in one step over the tolerance: for most quantities; where a difference of forces
+#: or of speeds is asked for; where the record ends in the tail of the force; once a face has
+#: yielded, for the end of contact.  Measured by the sweep, each quantity asked for alone: each then
+#: keeps the tolerance
 _LOCAL, _LOCAL_DIFFERENCE, _LOCAL_TAIL, _LOCAL_YIELDED = 0.25, 0.05, 0.1, 0.1
 
 
@@ -150,12 +150,12 @@ class Motion:
         n = n[inside]
         begin = begin[inside]
         trip = self.echo(1) / self.unit
-        end = float(self.scene.reflections[self.row, 1])
+        reflects = float(self.scene.reflections[self.row, 1])
         trips, rest = np.divmod(s[inside] - begin, trip)
         whole = np.rint((self.start[n + 1] - begin) / trip)
         returned = trips / whole  # R + R² + ..., over the sum of all round trips
-        if end < 1.0:
-            returned = (1.0 - end**trips) / (1.0 - end**whole)
+        if reflects < 1.0:
+            returned = (1.0 - reflects**trips) / (1.0 - reflects**whole)
         gap, before, then = (
             self._scaled_states(at)[:, 1] for at in (begin, begin - trip, begin - trip + rest)
         )
@@ -163,7 +163,7 @@ class Motion:
         opened = self.states[n + 1, 1, 0] - gap - evenly * whole
         found[inside, 1] = gap + evenly * trips + opened * returned
         evenly *= rest / trip
-        found[inside, 1] += evenly + (then - before - evenly) * end ** (trips + 1.0)
+        found[inside, 1] += evenly + (then - before - evenly) * reflects ** (trips + 1.0)
         return found
 
     def states_at(self, times: Array) -> Values:
@@ -241,7 +241,7 @@ def scaled_arguments(scene: Scene, rows: Places) -> Rows:
         breaks=pulse.breaks[rows] / time[:, None],
         coefficients=np.ascontiguousarray(pulse.coefficients[rows] * powers[:, None, :]),
         frequencies=pulse.frequency[rows] * time,
-        horizon=scene.record_end[rows] / time,
+        record_end=scene.record_end[rows] / time,
         poles=poles,
         speed=scene.start[rows, 0] / scales.speed,
     )
@@ -279,7 +279,7 @@ def task_of(
         tolerance=tolerance,
         has_laws=not scene.by_hertz,
         rigged=not scene.by_wave,
-        stop_at_loss=not scene.whole_record,
+        stop_at_loss=scene.by_wave and not scene.whole_record,
     )
 
 
@@ -290,7 +290,7 @@ def _local_errors(task: Task, finite: bool) -> tuple[float, float]:
     (`Scene.record_end`): no row depends on those beside it.
     """
     over_tolerance = yielded = _LOCAL
-    if task.wanted & tracked.WANT_DIFFERENCE:
+    if task.wanted & (tracked.WANT_DIFFERENCE | tracked.WANT_AFTER):
         over_tolerance = _LOCAL_DIFFERENCE
     if not task.rigged:
         if finite:
@@ -314,7 +314,7 @@ def march_rows(rows: Rows, task: Task) -> tuple[Any, list[Any]]:
     from .kernel import march
 
     wanted = task.wanted
-    local, yielded_share = _local_errors(task, bool(np.isfinite(rows.horizon).all()))
+    local, yielded_share = _local_errors(task, bool(np.isfinite(rows.record_end).all()))
     power = 2.0 / 3.0
     if task.mode == tracked.LINEAR:
         power = 1.0
@@ -536,6 +536,9 @@ _FIRM, _FIRST_LOOK = 10.0, 30.0
 #: share of the sphere's speed by which two looks differ where their motions have parted: far above
 #: any tolerance, far below another blow; what it decides is one look more
 _ASTRAY = 1e-2
+#: share of the closing speed below which a speed behind an impact has a closer look: it errs by up
+#: to a tenth of a tolerance of the closing speed
+_SLOW = 0.2
 #: answers that are compared at two tolerances; not a number where not wanted
 _COMPARED = {"x_a", "x_b", "difference", "stored", "mean_force", "duration"}
 
@@ -544,8 +547,8 @@ def look_closer(rows: Rows, task: Task) -> Any:
     """Answers of `march_rows`; of rows in which they may be worse than the tolerance of the task,
     those of another look, a hundred times closer than the last one, until a look settles them.
 
-    There are three reasons for another look, and what the last one leaves of them is the row's
-    `grazes`, else 0:
+    There are four reasons for another look, and what the last one leaves of the first three is the
+    row's `grazes`, else 0:
 
     undecided   an error may decide whether contact is lost, or move the first loss, or the last one
                 of a rig, by more than `_FIRM` tolerances: GRAZES
@@ -553,6 +556,7 @@ def look_closer(rows: Rows, task: Task) -> Any:
                 of one look more: GRAZES
     compared    many steps, or contacts that were found again, have added errors up, and any answer
                 differs by as much between the last two looks: RATTLES
+    slow        little is left of the closing speed, and the tolerance is one of what is left
     """
     wanted = task.wanted
     task = replace(task, requested=task.tolerance)
@@ -566,7 +570,10 @@ def look_closer(rows: Rows, task: Task) -> Any:
     compared |= answers["regained"] > 0.0
     counted = (answers["contact_censored"] == 0.0) & (answers["counted"] > answers["contact"])
     counted &= wanted & tracked.WANT_DURATION != 0 and not task.rigged
-    again = np.flatnonzero(compared | counted | _undecided(answers, task))
+    enough = _close_enough(rows, answers, task)
+    again = np.flatnonzero(
+        compared | counted | _undecided(answers, task) | (task.tolerance > enough)
+    )
     while len(again) and task.tolerance > _FINEST:
         task = replace(task, tolerance=max(_CLOSER * task.tolerance, _FINEST))
         before = answers[again]
@@ -580,13 +587,14 @@ def look_closer(rows: Rows, task: Task) -> Any:
         # sphere moves at the end
         speed = look["sphere_speed"]
         astray = np.abs(speed - before["sphere_speed"]) > _ASTRAY * np.abs(speed)
-        astray &= echoing[again] & (look["ended"] >= rows.horizon[again] * (1.0 - 1e-12))
+        astray &= echoing[again] & (look["ended"] >= rows.record_end[again] * (1.0 - 1e-12))
         undecided = _undecided(answers[again], task)
         counted[again] &= ~done | (differs["duration"] > _FIRM)
         grazes = tracked.GRAZES * (undecided | counted[again])
         rattles = compared[again] & (~done | (largest > _FIRM))
         answers["grazes"][again] = np.where(rattles, tracked.RATTLES, grazes)
-        again = again[done & (undecided | (compared[again] & ((largest > 1.0) | astray)))]
+        unlike = compared[again] & ((largest > 1.0) | astray)
+        again = again[done & (undecided | unlike | (task.tolerance > enough[again]))]
     return answers
 
 
@@ -600,7 +608,7 @@ def _undecided(answers: Any, task: Task) -> Flags:
     if asked and task.tolerance == task.requested:
         blur = _FIRST_LOOK * blur
         last = _FIRM * last  # it is a bound: one tolerance
-    if task.stop_at_loss and not task.rigged:
+    if task.stop_at_loss:
         asked = task.wanted & tracked.BY_LOSS
     lost = np.nan_to_num(answers["contact"])
     # a loss that may be none at all has `grazed` 0, so that it moves by all of its time
@@ -610,6 +618,18 @@ def _undecided(answers: Any, task: Task) -> Flags:
     if task.wanted & tracked.WANT_PARTING and task.rigged:
         too_far |= last > most * answers["parting"]
     return too_far
+
+
+def _close_enough(rows: Rows, answers: Any, task: Task) -> Array:
+    """The tolerance (n,) at which speeds behind an impact, of which little may be left, keep that
+    of the task; infinite where none is wanted.
+    """
+    behind, ahead = answers["end_speed"].T
+    parting = ahead - answers["sphere_speed"]
+    left = np.abs(np.where(rows.poles["there"][:, 0] > 0.0, behind, parting))
+    wanted = answers["status"] == tracked.OK
+    wanted &= task.rigged and task.wanted & tracked.WANT_AFTER != 0
+    return np.where(wanted, left * task.requested / _SLOW, np.inf)
 
 
 def _differences(before: Any, after: Any, task: Task) -> dict[str, Array]:

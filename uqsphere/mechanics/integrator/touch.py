@@ -51,7 +51,10 @@ def _join(series, m, rate, end, end_rate):
 
 @compiled
 def step_from_touch(s, j):
-    """Replace the series of a lane over its trial step by cubics that join both ends."""
+    """Replace the series of a lane by cubics that join both ends of its trial step, all of which
+    holds.
+    """
+    s.theta[j] = 1.0
     b = LANES + j
     h = s.h[j]
     part = 1.0 / _TOUCH_STEPS

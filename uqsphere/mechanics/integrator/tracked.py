@@ -174,7 +174,7 @@ class Rows(NamedTuple):
     """What is to be integrated, n rows in scaled variables.
 
     mass (n,): mu.  reflections, round_trips (n, 2): R and T of the two bars (T infinite: none).
-    breaks, coefficients, frequencies: the pulse in scaled time.  horizon (n,): end of the record,
+    breaks, coefficients, frequencies: the pulse in scaled time.  record_end (n,): at the latest,
     inf for the rule of infinite bars.  poles (n, 2): `POLE`.  speed (n,): u at the start.
     Whether faces are alike and elastic, or stand on two bars, is in the state (`has_laws`,
     `rigged`).  In other rigs than bars no pulse comes in, and one far end at most sends waves back.
@@ -186,7 +186,7 @@ class Rows(NamedTuple):
     breaks: Array
     coefficients: Array
     frequencies: Array
-    horizon: Array
+    record_end: Array
     poles: Any
     speed: Array
 
@@ -254,7 +254,7 @@ LANE = np.dtype(
             # the row
             "mass",  # mu; enter
             "quickest",  # how quickly the lightest body answers a force; enter
-            "horizon",  # t_c; end of the record at the latest; enter
+            "record_end",  # t_c; at the latest; enter
             "pulse_end",  # t_c; end of the incident pulse; enter
             "first_echo",  # t_c; when the first echo is back; enter
             # the step
@@ -301,7 +301,7 @@ LANE = np.dtype(
             "reflect",  # reflection coefficients of the far ends; set_up_face
             "trips",  # t_c; round trips, inf without echo; set_up_face
             # what is followed
-            "touched",  # 1 once a face has touched; set_up_face, note_approaches
+            "was_pressed",  # 1 once above what is faint; set_up_face, note_approaches
             "x_first",  # deepest before the first echo; move_on
             "other",  # force of the other face at a face's peak; note_approaches
             "carried",  # integrals of the squared forces; after_step
@@ -340,7 +340,7 @@ STATE = np.dtype(
             PAIR,
             # the step
             "h",  # t_c; length of the trial step; try_length, echo_steps
-            "theta",  # share of the trial step that is taken; reach, choose, shorten_to_roots
+            "theta",  # share of h that is taken; reach, step_from_touch, choose, shorten_to_roots
             "size",  # scale of x; set_up_face, widen_scales
             "free_size",  # scale of U; set_up_face, widen_scales
             # the waves
