@@ -365,7 +365,7 @@ class Slow(Tables):
         """What an answer is of where model runs failed."""
         note = super().noted(answer)
         if note and self.predicted and answer not in OF_ALL | {Kind.MEAN, Kind.SD}:
-            note += ", extrapolated for the others"
+            return "extrapolated for the model runs that failed"
         return note
 
     def corrected(self, name: str) -> Corrected | None:
@@ -443,7 +443,7 @@ class Slow(Tables):
             return self.by_input(orders, self._kept)
         reason = f"some of the {runs} model runs have no plain value"
         if self.dropped:
-            reason = "the runs that failed lie apart from the others: see on_failure"
+            reason = "the runs that failed lie apart from the others, or too few answered"
         elif self.rows.failed.any():
             reason += '; analysis.on_failure = "drop" gives the indices of those that do'
         return self.no_indices(reason, ROUGH, runs)

@@ -20,10 +20,10 @@ Where no row changes sides of t, its variance is not zero: it is at least E|1(f 
 t)|, the share of the law that residuals r like those of the rows would move across t.  Nor is that
 of rows that failed where all of them are on one side: it is at least P (1 - P).
 
-Answers are of the rows that answer.  Where m rows of n + m fail, E_table has those like them as
-well: each of these counts with what expansions predict there, as one that (1) has to take away.
+Answers are of the rows that answer.  Where l rows of n + l fail, E_table has points like them as
+well: what expansions predict at these rows is taken away from it.
 
-    E[g(y)] = (E_table[g(f)] - E_all rows[g(f)] + E_all rows[g(y), 0 if failed])/(n/(n + m))   (2)
+    E[g(y)] = (E_table[g(f)] - E_all rows[g(f)] + E_all rows[g(y), 0 if failed])/(n/(n + l))   (2)
 
 An event that none of n rows shows, rarer than `count_bound`, about 3/n, is not in (1).
 Probabilities and quantiles have a second interval that allows for it.
@@ -247,7 +247,7 @@ class Corrected:
         # rows are many and places too: what they move a place by is counted, not listed
         lower, upper = np.sort(np.sort([outputs, levels], axis=0))
         correction = below(np.sort(outputs)) - below(np.sort(levels))
-        # the rows that failed as in `_influences`; by those that are few, one may be on either side
+        # the rows that failed as in `of_answered`
         level, of_lost = table.mean(axis=0), below(np.sort(lost, axis=None))
         correction += self._odds * (level - of_lost)
         answer = level + correction
@@ -331,9 +331,11 @@ def _settled(expanded: Values, corrected: Values, low: Values, high: Values) -> 
 
 
 def of_answered(level: Values, influence: Array, lost: Array) -> Array:
-    """What all rows (n + l,) move E_table[g(f)], the level, by, so that their mean makes it the
-    answer of those that answered: by influences (n,) of these, and by g (l,) as predicted for the
-    others.
+    """What each of all rows (n + l,) moves the answer of those that answered by, (2); the mean is
+    what the answer differs by from the level, E_table[g(f)].
+
+    influence : (n,) of the rows that answered, by (1)
+    lost : (l,) g as predicted for those that failed
     """
     runs = len(influence)
     shift = (influence.sum() + (level - lost).sum()) / runs
