@@ -284,7 +284,8 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     followed = np.flatnonzero(~lost.all(axis=1))
     count = shape[1] - lost[followed].sum(axis=1).max()
     places = np.argsort(lost[followed], axis=1, kind="stable")[:, :count]
-    weights = drawn.weights[followed] / drawn.weights[followed].mean()
+    weights = drawn.weights[followed]
+    weights /= weights.mean()
 
     def told(column: Any) -> Any:
         return np.take_along_axis(column.reshape(shape)[followed], places, axis=1)

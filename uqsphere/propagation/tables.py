@@ -91,7 +91,7 @@ class Compared:
         """How many rows failed."""
         return self.lost.count
 
-    def near(self, value: float, shares: Callable[[Values], Values]) -> tuple[Places, Places]:
+    def near(self, value: float, shares: Callable[[Values], Values]) -> list[Places]:
         """Which of the rows, and of those that failed, are the sqrt(n) that are nearest to a value
         of the free number, in shares of its range.
         """
@@ -102,8 +102,7 @@ class Compared:
         ]
         every = np.sort(np.concatenate(apart))
         reach = every[math.isqrt(len(every)) - 1]
-        near, lost = (np.flatnonzero(part <= reach) for part in apart)
-        return near, lost
+        return [np.flatnonzero(part <= reach) for part in apart]
 
 
 def too_few(probability: float, carried_by: float) -> bool:

@@ -146,8 +146,7 @@ class Corrected:
         if not np.ptp(outputs):  # nothing but the rounding of a sum
             return self._estimate(0.0, 0.0, 0.0)
         centre = self._table_moment(1)[0].mean()
-        lost = self.lost.mean(axis=0)
-        centre += of_answered(centre, self.response.residuals, lost).mean()
+        centre += of_answered(centre, self.response.residuals, self.lost.mean(axis=0)).mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
         lost = ((self.lost - centre) ** 2).mean(axis=0)
@@ -251,7 +250,7 @@ class Corrected:
         level, of_lost = table.mean(axis=0), below(np.sort(lost, axis=None))
         correction += self._odds * (level - of_lost)
         answer = level + correction
-        squares = (1.0 - of_lost) * answer**2 + of_lost * (1.0 - answer) ** 2
+        squares = answer**2 + of_lost * (1.0 - 2.0 * answer)
         squares = below(lower) - below(upper) + self._odds * squares
         variance = (squares - (1.0 + self._odds) * correction**2) * self.runs / (self.runs - 1)
         expected += self._odds * answer * (1.0 - answer)

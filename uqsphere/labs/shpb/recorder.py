@@ -62,9 +62,8 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     lines = {number: re.sub('^"([^"]*)"$', r"\1", line) for number, line in lines.items()}
     live = {number: line for number, line in lines.items() if not is_comment(line)}
     lower = dict([*live.items()][len(live) // 2 :][:_LOOKED_AT])
-    forms = {divider: _form_of(lower, divider) for divider in "\t;, "}
-    divider = max(forms, key=lambda divider: forms[divider][0])
-    _, width, places = forms[divider]
+    forms = [_form_of(lower, divider) for divider in "\t;, "]
+    *_, divider, width, places = max(forms, key=lambda form: form[:2])
     cells = cells_of(live, divider)
     first = 0
     for number, row in cells.items():
@@ -118,9 +117,9 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     return tables.table_of(name, used_cells, notes, mark), "\n".join(metadata)
 
 
-def _form_of(lines: dict[int, str], divider: str) -> tuple[tuple[int, float], int, list[int]]:
+def _form_of(lines: dict[int, str], divider: str) -> tuple[int, float, str, int, list[int]]:
     """How well a divider fits: how many columns of numbers it gives, up to two, and which share of
-    the columns has no texts in most rows; the cells of a row; and the places of the former.
+    the columns has no texts in most rows; with it the cells of a row, and the places of the former.
     """
     rows = [row for row in cells_of(lines, divider).values() if any(map(tables.is_number, row))]
     width = mode([*map(len, rows)] or [1])
@@ -131,7 +130,7 @@ def _form_of(lines: dict[int, str], divider: str) -> tuple[tuple[int, float], in
             filled += 1
             if any(map(tables.is_number, column)):
                 places.append(place)
-    return (min(len(places), 2), filled / width), width, places
+    return min(len(places), 2), filled / width, divider, width, places
 
 
 def _is_number(cell: str) -> bool:
