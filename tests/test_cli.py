@@ -182,7 +182,7 @@ def test_a_value_of_another_form_is_told_the_form(
 def test_a_check_names_no_more_runs_than_the_budget(capsys: pytest.CaptureFixture[str]) -> None:
     Path("square.toml").write_text(f"{SQUARE}analysis.budget.evaluations = 300")
     assert main(["check", "square.toml"]) == 0
-    assert "starts with 256 model runs" in capsys.readouterr().out
+    assert "makes one design: at most 300 model runs" in capsys.readouterr().out
 
 
 def test_a_check_says_how_long_a_run_takes_by_64_rows(
@@ -201,7 +201,16 @@ def test_a_check_says_how_long_a_run_takes_by_64_rows(
     assert asked == [64, 64]
     said = capsys.readouterr().out
     assert re.search(r"A run starts with 10,496 model runs \(.* about [\d.]+ s\)", said)
-    assert "at most 2,000,000 in 600 s (analysis.budget)" in said
+    assert "at most 2,000,000 model runs in 600 s (analysis.budget)" in said
+    # a run makes its first size whatever the budget, and a slow model one design
+    assert main(["check", "granite.toml", "--set", "analysis.budget.evaluations=100"]) == 0
+    said = capsys.readouterr().out
+    [first, most] = re.search(r"starts with (\d+) .* at most (\d+) model runs", said).groups()
+    assert int(first) == int(most) > 100
+    assert main(["new", "blackbox"]) == 0
+    for budget in ("analysis.budget.evaluations=100", 'analysis.cost="10 s"'):
+        assert main(["check", "blackbox.toml", "--set", budget]) == 0
+        assert "A run makes one design: at most 100" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("at", ["uqsphere.cli", "uqsphere.study", "numba", "exit"])

@@ -482,8 +482,11 @@ def read_table(path: Path, *, decimal: str = "", sheet: str = "") -> Table:
     lines, notes = read_lines(path, sheet=sheet)
     name = as_text(path.name)
     live = {k: line for k, line in lines.items() if not is_comment(line)}
+    texts = [*live.values()]
+    ends = "".join(texts[:1] + texts[-1:])  # a title has no divider
+    divider = next((mark for mark in "\t;" if mark in ends), ",")
     try:
-        cells = cells_of(live, divider_of([*live.values()]), strict=True)
+        cells = cells_of(live, divider, strict=True)
     except csv.Error:
         raise TableError(
             f"{name!r}: a text in quotes extends over several lines. Keep every row on one line"
@@ -597,14 +600,6 @@ def _decoded(data: bytes, name: str, notes: list[str]) -> str:
     if "\0" in text[:4096]:
         raise TableError(f"{name!r} is not a text file. Save it as CSV or .xlsx")
     return text.lstrip("\ufeff").replace("\N{MINUS SIGN}", "-")
-
-
-def divider_of(lines: list[str]) -> str:
-    """What stands between the cells of lines: tabs, semicolons, or else commas; a title, which the
-    first of them may be, has none.
-    """
-    ends = "".join(lines[:1] + lines[-1:])
-    return next((mark for mark in "\t;" if mark in ends), ",")
 
 
 def cells_of(

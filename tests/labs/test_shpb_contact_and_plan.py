@@ -231,7 +231,7 @@ def test_what_a_plan_cannot_use_is_refused(
     free = '\nfree = "striker.speed"'
     between = '\nbetween = ["1 m/s", "2 m/s"]'
     for line, match in (
-        ('free = "striker.speed"', "free: give a number of the study as free, such as striker"),
+        ('free = "striker.speed"', "free: give a number of the study, such as striker"),
         ('free = "striker.mass"' + between, 'free: "striker.mass" is not a number of this study'),
         ('between = ["1 kg", "2 kg"]' + free, "between[0]: unknown unit 'kg' for a speed"),
         ('between = ["0 m/s", "2 m/s"]' + free, "between[0]: striker speed must be above 0 m/s"),
@@ -252,7 +252,23 @@ def test_what_a_plan_cannot_use_is_refused(
     for line in ("", between):
         file.write_text('study = "ball.toml"' + line)
         assert main(["shpb", "plan", str(file)]) == 2
-        assert "give a number of the study as free" in capsys.readouterr().err
+        assert "give a number of the study, such as striker.speed" in capsys.readouterr().err
+    margins = '[margins]\nsolve = "striker.speed"\nbetween = ["1 m/s", "2 m/s"]\n'
+    (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"') + margins)
+    file.write_text('study = "ball.toml"\nfree = "sphere.radius"')
+    assert main(["shpb", "plan", str(file)]) == 2
+    assert "only what [margins] of the study has may be omitted" in capsys.readouterr().err
+
+
+def test_a_plan_takes_what_it_is_not_given_from_the_margins_of_the_study(tmp_path: Path) -> None:
+    margins = '[margins]\nsolve = "striker.speed"\nbetween = ["0.05 m/s", "2 m/s"]\n'
+    (tmp_path / "ball.toml").write_text(STUDY.format(E='"60 GPa"') + margins)
+    few: dict[str, Any] = {"study": "ball.toml", "rows": 64, "points": 2}
+    plans = []
+    for given in ({}, {"free": SPEEDS["free"]}, {"between": SPEEDS["between"]}, SPEEDS):
+        plans.append(plan_test(PlanDocument(**few, **given), tmp_path))
+    assert plans[0]["values"] == [0.05, 2.0]
+    assert all(plan == plans[0] for plan in plans)
 
 
 def test_a_limit_that_means_no_fracture_stands_for_its_mode_in_a_plan_as_in_a_run(

@@ -526,6 +526,16 @@ def test_columns_of_a_recorders_sheet_end_where_they_like(tmp_path: Path) -> Non
             "time volts",
         ),
         (
+            "t, x, y\n" + "".join(f"{k}, {k}.5, 0.25\n" for k in range(80)),
+            ["t", "x", "y"],
+            "",
+        ),
+        (
+            "t x y flag\n" + "".join(f"{k}.0 {k}.5 0.25 ok\n" for k in range(80)),
+            ["t", "x", "y", "flag"],
+            "",
+        ),
+        (
             '"t;x;x"\r' + "".join(f'"{k}.0;{k}.5;0.25"\r' for k in range(80)),
             ["t", "2 x", "3 x"],
             "",

@@ -810,7 +810,14 @@ def test_rows_that_were_answered_elsewhere_are_analysed_by_their_names() -> None
     assert run.sobol("y")["method"]["a"].endswith("the 93.5 % of rows that answered")
     notes = run.answers.drop_duplicates("answer").set_index("answer")["note"]
     assert notes["failure_probability"] == notes["mean"] == "of the model runs that answered"
-    assert notes["sobol_first"].endswith("extrapolated for the others")
+    assert notes["sobol_first"] == "extrapolated for the model runs that failed"
+    [check] = [check for check in run.results.checks if check.name == "failed_rows"]
+    assert check.effect.startswith("left out: answers are of those that answered")
+    run = uqsphere.analyse(
+        study(analysis={"on_failure": "95 %"}),
+        rows.assign(y=linear(rows)["y"].where(np.argsort(answered, kind="stable") < 12)),
+    )
+    assert "too few answered" in run.answers.query("answer == 'sobol_first'")["note"].iloc[0]
 
 
 @pytest.mark.parametrize("seed", [1, 2])

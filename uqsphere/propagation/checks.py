@@ -74,8 +74,6 @@ def checks(tables: Tables, notes: Sequence[str] = ()) -> Iterator[Check]:
             effect = (
                 "intervals widened; mean, standard deviation and indices are of those that answered"
             )
-        if isinstance(tables, Slow) and tables.predicted:
-            effect = "in their place stand predictions from the runs that did not"
         yield Check(
             name="failed_rows",
             share=failed,

@@ -284,17 +284,18 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     followed = np.flatnonzero(~lost.all(axis=1))
     count = shape[1] - lost[followed].sum(axis=1).max()
     places = np.argsort(lost[followed], axis=1, kind="stable")[:, :count]
-    weights = drawn.weights[followed] / drawn.weights[followed].mean()
+    weights = drawn.weights[followed]
+    weights /= weights.mean()
 
-    def told(column: Any) -> Any:
+    def of_followed(column: Any) -> Any:
         return np.take_along_axis(column.reshape(shape)[followed], places, axis=1)
 
-    first = told(fractures.first)
+    first = of_followed(fractures.first)
     for k, limit in enumerate(limits):
         by_mode = share(first == k, METHOD, weights=weights)
         yield estimate_row("fracture", "mode_share", by_mode, limit.name, runs=first.size)
     for name in STATE:
-        values = told(getattr(fractures, name))
+        values = of_followed(getattr(fractures, name))
         for p in QUANTILES:
             estimate = absent(TIMELESS, METHOD, 0)
             if np.isfinite(values).all():

@@ -136,7 +136,7 @@ class Line:
         systematic = np.sign(products).mean() > student(math.inf, 0.9) / math.sqrt(len(products))
         lost = state_of(design, limit, compared.lost)
         near: Places | slice = slice(None)
-        near_lost: Places | slice = slice(None)
+        near_lost = near
         inner = []
         shifted = []
         for mean, (value, sample) in zip(means, self.samples.items(), strict=True):

@@ -91,7 +91,7 @@ class Compared:
         """How many rows failed."""
         return self.lost.count
 
-    def near(self, value: float, shares: Callable[[Values], Values]) -> tuple[Places, Places]:
+    def near(self, value: float, shares: Callable[[Values], Values]) -> list[Places]:
         """Which of the rows, and of those that failed, are the sqrt(n) that are nearest to a value
         of the free number, in shares of its range.
         """
@@ -102,8 +102,7 @@ class Compared:
         ]
         every = np.sort(np.concatenate(apart))
         reach = every[math.isqrt(len(every)) - 1]
-        near, lost = (np.flatnonzero(part <= reach) for part in apart)
-        return near, lost
+        return [np.flatnonzero(part <= reach) for part in apart]
 
 
 def too_few(probability: float, carried_by: float) -> bool:
@@ -365,7 +364,7 @@ class Slow(Tables):
         """What an answer is of where model runs failed."""
         note = super().noted(answer)
         if note and self.predicted and answer not in OF_ALL | {Kind.MEAN, Kind.SD}:
-            note += ", extrapolated for the others"
+            return "extrapolated for the model runs that failed"
         return note
 
     def corrected(self, name: str) -> Corrected | None:
@@ -443,7 +442,7 @@ class Slow(Tables):
             return self.by_input(orders, self._kept)
         reason = f"some of the {runs} model runs have no plain value"
         if self.dropped:
-            reason = "the runs that failed lie apart from the others: see on_failure"
+            reason = "the runs that failed lie apart from the others, or too few answered"
         elif self.rows.failed.any():
             reason += '; analysis.on_failure = "drop" gives the indices of those that do'
         return self.no_indices(reason, ROUGH, runs)

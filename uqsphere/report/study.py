@@ -117,27 +117,28 @@ def cost(study: Study) -> str:
     from uqsphere.propagation.grow import first_count, first_rows
     from uqsphere.propagation.tables import input_rows
 
-    first = first_rows(study, first_count(study))
-    budget = study.analysis.budget
-    longest = budget.time
-    start = f"A run starts with {first:,} model runs"
-    end = ""
-    if not study.black_box:
-        design = Design.of(study)
-        names, rows = input_rows(design.points(4))  # of each of 16 replicates
-        with Model(design.judged) as model:
-            for _ in range(2):  # the first time it compiles the integrator
-                model.evaluate(names, rows, design.columns)
-        seconds = first * model.seconds_per_row + REPORT_SECONDS
-        start += f" (with analysis and report about {float(f'{seconds:.2g}'):g} s)"
+    analysis = study.analysis
+    most = analysis.budget.evaluations
+    longest = analysis.budget.time
+    least = first_rows(study)
+    if study.black_box and (most < least or (analysis.cost or 0.0) * least > longest):  # `is_slow`
+        course = "A run makes one design"
     else:
-        end = " A slow model gets one design of fewer runs."
-        if study.analysis.cost is not None:
-            longest = min(study.analysis.cost * budget.evaluations, longest)
-    return (
-        f"{start} and doubles the sample until it is accurate: at most {budget.evaluations:,} in "
-        f"{longest:,.0f} s (analysis.budget).{end}"
-    )
+        first = first_rows(study, first_count(study))
+        most = max(most, first)
+        course = f"A run starts with {first:,} model runs"
+        if study.black_box:
+            course += " (or one design of fewer, if these take too long)"
+        else:
+            design = Design.of(study)
+            names, rows = input_rows(design.points(4))  # of each of 16 replicates
+            with Model(design.judged) as model:
+                for _ in range(2):  # the first time it compiles the integrator
+                    model.evaluate(names, rows, design.columns)
+            seconds = first * model.seconds_per_row + REPORT_SECONDS
+            course += f" (with analysis and report about {float(f'{seconds:.2g}'):g} s)"
+        course += " and doubles the sample until it is accurate"
+    return f"{course}: at most {most:,} model runs in {longest:,.0f} s (analysis.budget)."
 
 
 def listing(what: str) -> str:

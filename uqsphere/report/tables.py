@@ -231,8 +231,7 @@ def _number_to_use(results: Results, decision: Decision) -> list[str]:
         text = DecisionText(results, decision)
         return [text.number(use.value), text.span(use.best.low, use.best.high)]
     notes = {doubt.margin_note for doubt in decision.doubts}
-    told = next((text for note, text in _WITHOUT_MARGIN.items() if note in notes), DASH)
-    return [told, DASH]
+    return [next((text for note, text in _WITHOUT_MARGIN.items() if note in notes), DASH), DASH]
 
 
 def _joint_rows(results: Results, decision: Decision) -> Iterator[Row]:

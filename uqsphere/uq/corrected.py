@@ -20,10 +20,10 @@ Where no row changes sides of t, its variance is not zero: it is at least E|1(f 
 t)|, the share of the law that residuals r like those of the rows would move across t.  Nor is that
 of rows that failed where all of them are on one side: it is at least P (1 - P).
 
-Answers are of the rows that answer.  Where m rows of n + m fail, E_table has those like them as
-well: each of these counts with what expansions predict there, as one that (1) has to take away.
+Answers are of the rows that answer.  Where l rows of n + l fail, E_table has points like them as
+well: what expansions predict at these rows is taken away from it.
 
-    E[g(y)] = (E_table[g(f)] - E_all rows[g(f)] + E_all rows[g(y), 0 if failed])/(n/(n + m))   (2)
+    E[g(y)] = (E_table[g(f)] - E_all rows[g(f)] + E_all rows[g(y), 0 if failed])/(n/(n + l))   (2)
 
 An event that none of n rows shows, rarer than `count_bound`, about 3/n, is not in (1).
 Probabilities and quantiles have a second interval that allows for it.
@@ -146,8 +146,7 @@ class Corrected:
         if not np.ptp(outputs):  # nothing but the rounding of a sum
             return self._estimate(0.0, 0.0, 0.0)
         centre = self._table_moment(1)[0].mean()
-        lost = self.lost.mean(axis=0)
-        centre += of_answered(centre, self.response.residuals, lost).mean()
+        centre += of_answered(centre, self.response.residuals, self.lost.mean(axis=0)).mean()
         influence = (outputs - centre) ** 2 - (self.response.levels - centre) ** 2
         squares, sampling = self._table_moment(2, centre)
         lost = ((self.lost - centre) ** 2).mean(axis=0)
@@ -247,11 +246,11 @@ class Corrected:
         # rows are many and places too: what they move a place by is counted, not listed
         lower, upper = np.sort(np.sort([outputs, levels], axis=0))
         correction = below(np.sort(outputs)) - below(np.sort(levels))
-        # the rows that failed as in `_influences`; by those that are few, one may be on either side
+        # the rows that failed as in `of_answered`
         level, of_lost = table.mean(axis=0), below(np.sort(lost, axis=None))
         correction += self._odds * (level - of_lost)
         answer = level + correction
-        squares = (1.0 - of_lost) * answer**2 + of_lost * (1.0 - answer) ** 2
+        squares = answer**2 + of_lost * (1.0 - 2.0 * answer)
         squares = below(lower) - below(upper) + self._odds * squares
         variance = (squares - (1.0 + self._odds) * correction**2) * self.runs / (self.runs - 1)
         expected += self._odds * answer * (1.0 - answer)
@@ -331,9 +330,11 @@ def _settled(expanded: Values, corrected: Values, low: Values, high: Values) -> 
 
 
 def of_answered(level: Values, influence: Array, lost: Array) -> Array:
-    """What all rows (n + l,) move E_table[g(f)], the level, by, so that their mean makes it the
-    answer of those that answered: by influences (n,) of these, and by g (l,) as predicted for the
-    others.
+    """What each of all rows (n + l,) moves the answer of those that answered by, (2); the mean is
+    what the answer differs by from the level, E_table[g(f)].
+
+    influence : (n,) of the rows that answered, by (1)
+    lost : (l,) g as predicted for those that failed
     """
     runs = len(influence)
     shift = (influence.sum() + (level - lost).sum()) / runs

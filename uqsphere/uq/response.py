@@ -13,8 +13,9 @@ their residuals.
 
 The exponential of a polynomial, and polynomials of an unbounded law of an input's own, grow faster
 where no row lies than Hermite polynomials of normal scores do.  Where a fold is contradicted, or
-more than `GOOD` is left at the rows or may be wrong beyond them, the output itself is expanded in
-the scores as well, and the response that misses less is kept (`Response.missing`).
+more than `GOOD` is left at the rows or may be wrong beyond them, the output is expanded in the
+scores as well, itself where one of these is normal, and the response that misses less is kept
+(`Response.missing`).
 """
 
 import math

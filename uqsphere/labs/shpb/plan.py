@@ -73,17 +73,17 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         if name not in limits:
             raise InputError(unknown("limit that means fracture", name, limits), "limits")
     limits = {name: limit for name, limit in limits.items() if name in (asked.limits or limits)}
-    overrides = []
-    if asked.free:
-        overrides.append(f"margins.solve={asked.free}")
-    if asked.between:
-        overrides.append(f"margins.between={json.dumps(asked.between)}")
-    if len(overrides) < 2 and (asked.free or not study.margins):
+    solved = study.margins.solve if study.margins else ""
+    free = asked.free or solved
+    if not free or not (asked.between or free == solved):
         raise InputError(
-            "give a number of the study as free, such as striker.speed, and between = [lowest, "
-            "highest]; without both the study needs a table [margins]",
+            "give a number of the study, such as striker.speed, and between = [lowest, highest]; "
+            "only what [margins] of the study has may be omitted",
             "free",
         )
+    overrides = [f"margins.solve={free}"]
+    if asked.between:
+        overrides.append(f"margins.between={json.dumps(asked.between)}")
     try:
         study = uqsphere.load_study(path, overrides)
     except StudyError as error:
@@ -96,7 +96,6 @@ def plan_test(asked: PlanDocument, folder: Path) -> JsonObject:
         raise refused from None
     margins = study.margins
     assert margins
-    free = margins.solve
     quantities = ("P_max", *(limit.quantity for limit in limits.values()))
     counted: JsonObject = {"quantities": (*dict.fromkeys(quantities),)}
     # those that mean no fracture stand in the place of a failure mode of the library, as in a run

@@ -61,20 +61,10 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     # without quotes around a whole line
     lines = {number: re.sub('^"([^"]*)"$', r"\1", line) for number, line in lines.items()}
     live = {number: line for number, line in lines.items() if not is_comment(line)}
-    half = slice(len(live) // 2, len(live) // 2 + _LOOKED_AT)
-    lower = [*live.values()][half]
-    texts = "".join(lower[:1]).split()
-    divider = tables.divider_of(lower)
-    if divider == "," and len(texts) > 1 and all(map(_is_number, texts)):
-        divider = " "
+    lower = dict([*live.items()][len(live) // 2 :][:_LOOKED_AT])
+    forms = [_form_of(lower, divider) for divider in "\t;, "]
+    *_, divider, width, places = max(forms, key=lambda form: form[:2])
     cells = cells_of(live, divider)
-    rows = [row for row in [*cells.values()][half] if any(map(tables.is_number, row))]
-    width = mode([*map(len, rows)] or [0])
-    columns = zip(*(row for row in rows if len(row) == width), strict=True)
-    places = []
-    for place, column in enumerate(columns):
-        if any(map(tables.is_number, column)) and 2 * sum(map(_is_number, column)) > len(column):
-            places.append(place)
     first = 0
     for number, row in cells.items():
         chosen = [row[place] for place in places if place < len(row)]
@@ -125,6 +115,22 @@ def read_recorded(path: Path, sheet: str = "") -> tuple[Table, str]:
     used_cells = {number: [row[place] for place in used] for number, row in whole.items()}
     metadata = [line for number, line in lines.items() if number < max(first, _METADATA)]
     return tables.table_of(name, used_cells, notes, mark), "\n".join(metadata)
+
+
+def _form_of(lines: dict[int, str], divider: str) -> tuple[int, float, str, int, list[int]]:
+    """How well a divider fits: how many columns of numbers it gives, up to two, and which share of
+    the columns has no texts in most rows; with it the cells of a row, and the places of the former.
+    """
+    rows = [row for row in cells_of(lines, divider).values() if any(map(tables.is_number, row))]
+    width = mode([*map(len, rows)] or [1])
+    places = []
+    filled = 0
+    for place, column in enumerate(zip(*(row for row in rows if len(row) == width), strict=True)):
+        if 2 * sum(map(_is_number, column)) > len(column):
+            filled += 1
+            if any(map(tables.is_number, column)):
+                places.append(place)
+    return min(len(places), 2), filled / width, divider, width, places
 
 
 def _is_number(cell: str) -> bool:

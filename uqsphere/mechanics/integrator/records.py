@@ -8,9 +8,9 @@
     of bars           at a loss of contact behind which no approach can be higher, or the faces can
                       squeeze the sphere no harder, unless the whole record is asked for
                       (`no_higher_approach`, `no_harder_squeeze`)
-    of any row        at `Scene.record_end`; a rig that is still pressed there has no answer
-                      where no largest value that is wanted can grow, and nothing else that is
-                      wanted can change (`no_later_peak`)
+    of any row        at `Scene.record_end`, where a rig that is still pressed has no answer; or
+                      as soon as no largest value that is wanted can grow, and nothing else that
+                      is wanted can change (`no_later_peak`)
 
 For the last reason, and for `no_higher_approach`, the waves have to be steady: of bars once the
 pulse is over where no echo comes back; of a rig where no far end has R < 0.
