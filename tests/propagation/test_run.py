@@ -8,6 +8,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -1129,3 +1130,23 @@ def test_curves_of_few_rows_that_fail_where_the_output_is_large_are_of_the_other
         held.append(row.low <= (y[np.isfinite(y)] > 3.0).mean() <= row.high)
     assert np.mean(held) >= 0.9
     assert "extrapolated" not in curve["note"].iloc[0]
+
+
+def test_spheres_of_one_replicate_tell_nothing_of_the_moment_of_fracture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = import_module("uqsphere.propagation.limits")
+    real = limits.fractures_of
+
+    def few(*arguments: Any) -> Any:
+        fractures = real(*arguments)
+        first = np.where(np.arange(fractures.first.size) < 10, fractures.first, -1)
+        return fractures._replace(first=first)
+
+    monkeypatch.setattr(limits, "fractures_of", few)
+    study = uqsphere.load_study("studies/granite_three_ways.toml", ["analysis.budget.evaluations=4000"])
+    answers = uqsphere.run(study).answers.query("subject == 'fracture'")
+    moment = answers[answers["answer"] != "exceedance_probability"]
+    assert len(moment) > 3
+    assert moment["value"].isna().all()
+    assert set(moment["note"]) == {"too few of the spheres that break can be followed"}

@@ -282,6 +282,9 @@ def fracture(tables: Tables, judged: Mapping[frozenset[str], Estimate]) -> Rows:
     # spheres that could not be followed are left out, as many of each replicate
     lost = fractures.first.reshape(shape) < 0
     followed = np.flatnonzero(~lost.all(axis=1))
+    if len(followed) < 2:
+        yield from _not_known("too few of the spheres that break can be followed", limits)
+        return
     count = shape[1] - lost[followed].sum(axis=1).max()
     places = np.argsort(lost[followed], axis=1, kind="stable")[:, :count]
     weights = drawn.weights[followed]
