@@ -1144,7 +1144,9 @@ def test_spheres_of_one_replicate_tell_nothing_of_the_moment_of_fracture(
         return fractures._replace(first=first)
 
     monkeypatch.setattr(limits, "fractures_of", few)
-    study = uqsphere.load_study("studies/granite_three_ways.toml", ["analysis.budget.evaluations=4000"])
+    study = uqsphere.load_study(
+        "studies/granite_three_ways.toml", ["analysis.budget.evaluations=4000"]
+    )
     answers = uqsphere.run(study).answers.query("subject == 'fracture'")
     moment = answers[answers["answer"] != "exceedance_probability"]
     assert len(moment) > 3
