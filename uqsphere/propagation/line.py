@@ -150,8 +150,9 @@ class Line:
             if not isinstance(state.strength, Law):
                 cell = 1.0 / sample.count  # a replicate knows what it counts to one of its rows
             missing = lost.tails(factor)[0].mean(axis=0)[near_lost]
-            # where rows fail elsewhere, none here is not known better than half a row
-            failing = max(missing.size, 0.5 * bool(compared.failed))
+            failing: float = missing.size
+            if compared.failed and not failing:
+                failing = 0.5  # rows fail elsewhere: that none of so few does here is not exact
             _, *ends = corrected_probability(
                 mean,
                 observed - np.mean(predicted, axis=0),
